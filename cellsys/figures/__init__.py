@@ -1,0 +1,13 @@
+"""Matplotlib drawing of every result object; no computing here.
+
+Each function takes the result first and ``ax=None``, returns what it drew, never calls ``show``.
+"""
+
+import lazy_loader as _lazy
+
+__getattr__, __dir__, __all__ = _lazy.attach(
+    __name__,
+    submod_attrs={
+        "response": ["bode", "nyquist", "pole_zero_map", "singular_values", "pseudospectra"],
+    },
+)

@@ -1,0 +1,125 @@
+"""Units: um, pN, s inside; strings with units at the boundary only.
+
+In these units 1 Pa = 1 pN/um^2 and 1 N s/m = 1e6 pN s/um. Angles are radians inside.
+`quantity("5 kPa", "pN/um^2")` gives 5000.0; a number without a unit, an unknown unit and a unit
+of another dimension are refused.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from fractions import Fraction
+
+from cellsys.errors import UnitError
+
+Dimension = tuple[Fraction, Fraction, Fraction, Fraction]  # exponents of length, force, time, angle
+
+
+def _dim(length: int = 0, force: int = 0, time: int = 0, angle: int = 0) -> Dimension:
+    return (Fraction(length), Fraction(force), Fraction(time), Fraction(angle))
+
+
+_BASE: dict[str, tuple[float, Dimension]] = {
+    "1": (1.0, _dim()),
+    "%": (0.01, _dim()),
+    "m": (1e6, _dim(length=1)),
+    "N": (1e12, _dim(force=1)),
+    "Pa": (1.0, _dim(force=1, length=-2)),
+    "J": (1e18, _dim(force=1, length=1)),
+    "s": (1.0, _dim(time=1)),
+    "min": (60.0, _dim(time=1)),
+    "h": (3600.0, _dim(time=1)),
+    "Hz": (1.0, _dim(time=-1)),
+    "rad": (1.0, _dim(angle=1)),
+    "deg": (math.pi / 180.0, _dim(angle=1)),
+}
+_PREFIX = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}
+_PREFIXED = ("m", "N", "Pa", "J", "s")
+UNITS: dict[str, tuple[float, Dimension]] = dict(_BASE) | {
+    prefix + name: (scale * _BASE[name][0], _BASE[name][1])
+    for name in _PREFIXED
+    for prefix, scale in _PREFIX.items()
+}
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_VALUE = re.compile(rf"^\s*({_NUMBER})\s*(?:/\s*({_NUMBER}))?(?:\s+(.*))?$")
+_FACTOR = re.compile(r"^([A-Za-zµ%]+|1)(?:\^([+-]?\d+))?$")
+
+
+def parse_unit(text: str) -> tuple[float, Dimension]:
+    """Factor to internal units, and dimension, of a unit such as ``"pN s/um"`` or ``"1/s"``.
+
+    A space or ``*`` multiplies; every ``/`` divides by the one factor that follows it.
+
+    Raises
+    ------
+    UnitError
+        When a factor is not a known unit; the nearest known one is offered.
+    """
+    factor, exponents = 1.0, list(_dim())
+    tokens = re.split(r"\s*([*/])\s*|\s+", text.strip())
+    sign = 1
+    for token in tokens:
+        if token is None or token in ("", "*"):
+            continue
+        if token == "/":
+            sign = -1
+            continue
+        match = _FACTOR.match(token)
+        if match is None or match[1] not in UNITS:
+            near = difflib.get_close_matches(match[1] if match else token, UNITS, 1, 0.4)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise UnitError(f"unknown unit {token!r} in {text!r}{hint}")
+        power = sign * int(match[2] or 1)
+        scale, dimension = UNITS[match[1]]
+        factor *= scale**power
+        exponents = [a + power * b for a, b in zip(exponents, dimension, strict=True)]
+        sign = 1
+    return factor, tuple(exponents)  # type: ignore[return-value]
+
+
+def quantity(value: str | float, unit: str, *, name: str = "value") -> float:
+    """Convert a quantity to a float in `unit`'s internal form.
+
+    Parameters
+    ----------
+    value : str or float
+        ``"5 kPa"``, ``"1/60 1/s"``; a bare number is accepted only where `unit` is ``"1"``.
+    unit : str
+        A unit of the expected dimension, e.g. ``"pN/um^2"``.
+    name : str
+        What the value is, for the message.
+
+    Raises
+    ------
+    UnitError
+        Missing or unknown unit, other dimension, not a number, or not finite.
+    """
+    scale, expected = parse_unit(unit)
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise UnitError(f"{name} must be a quantity such as '1 {unit}', got {value!r}")
+    if isinstance(value, str):
+        match = _VALUE.match(value)
+        if match is None:
+            raise UnitError(f"{name} = {value!r} is not a number with a unit such as '1 {unit}'")
+        number = float(match[1])
+        if match[2] is not None:
+            if float(match[2]) == 0.0:
+                raise UnitError(f"{name} = {value!r} divides by zero")
+            number /= float(match[2])
+        text = (match[3] or "").strip()
+    else:
+        number, text = float(value), ""
+    if not math.isfinite(number):
+        raise UnitError(f"{name} must be finite, got {value!r}")
+    if not text:
+        if expected != _dim():
+            raise UnitError(f"{name} = {value!r} has no unit; write for example '{value} {unit}'")
+        return number
+    factor, dimension = parse_unit(text)
+    if dimension != expected:
+        raise UnitError(f"{name} = {value!r} has the wrong dimension; expected a unit like {unit!r}")
+    del scale
+    return number * factor

@@ -1,0 +1,1 @@
+"""Naive versions that must be seen to fail: the tests assert that they do."""
