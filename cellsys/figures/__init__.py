@@ -8,6 +8,8 @@ import lazy_loader as _lazy
 __getattr__, __dir__, __all__ = _lazy.attach(
     __name__,
     submod_attrs={
-        "response": ["bode", "nyquist", "pole_zero_map", "singular_values", "pseudospectra"],
+        "response": [
+            "bode", "nyquist", "pole_zero_map", "pseudospectra", "singular_values", "stability",
+        ],
     },
 )

@@ -1,0 +1,79 @@
+"""Integrators: directions of the state nothing depends on, such as absolute position."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.response.realization import EPS
+
+
+@dataclass(frozen=True, eq=False)
+class Integrators:
+    """Null directions of A (of A - I in discrete time).
+
+    Attributes
+    ----------
+    count : int
+        Number of directions.
+    states : tuple of str
+        States that take part with more than a tenth of the largest share.
+    basis : array (n, count)
+        Orthonormal in balanced coordinates.
+    tolerance : float
+        Singular values up to this counted as 0.
+    """
+
+    count: int
+    states: tuple[str, ...]
+    basis: np.ndarray
+    tolerance: float
+
+    def __str__(self) -> str:
+        if not self.count:
+            return "none"
+        names = ", ".join(self.states[:6]) + (", ..." if len(self.states) > 6 else "")
+        return f"{self.count} (states {names})"
+
+
+def set_apart(
+    A: np.ndarray, scale: np.ndarray, names: tuple[str, ...], tol: float | None, *, discrete: bool
+) -> tuple[Integrators, np.ndarray]:
+    """Integrators of A and the orthonormal complement of their directions.
+
+    A direction counts when its singular value is below `tol` and there is an eigenvalue below
+    ``max(tol, 1e-6 |A|_F)`` for it. With [N, R] orthogonal and A N = 0 the
+    other poles are those of R^T A R.
+
+    Parameters
+    ----------
+    A : array (n, n), balanced
+    scale : array (n,)
+        Diagonal of the balancing transformation: x = scale * x_balanced.
+    names : tuple of str
+    tol : float, optional
+        Absolute, 1/s; default 10 n eps |A|_F.
+    discrete : bool
+
+    Returns
+    -------
+    Integrators
+    R : array (n, n - count)
+    """
+    n = len(A)
+    M = A - np.eye(n) if discrete else A
+    norm = float(sla.norm(A)) if n else 0.0
+    limit = 10 * n * EPS * norm if tol is None else tol
+    if n == 0:
+        return Integrators(0, (), np.zeros((0, 0)), limit), np.zeros((0, 0))
+    _, s, Vt = sla.svd(M)
+    # A small singular value alone may only mean that M is far from normal.
+    slow = np.abs(sla.eigvals(M)) <= max(limit, 1e-6 * norm)
+    count = min(int(np.count_nonzero(s <= limit)), int(np.count_nonzero(slow)))
+    basis = Vt[n - count :].T
+    share = np.linalg.norm(basis * np.abs(scale)[:, None], axis=1) if count else np.zeros(n)
+    states = tuple(names[i] for i in np.flatnonzero(share > 0.1 * share.max(initial=0.0)))
+    rest = Vt[: n - count].T if count else np.eye(n)
+    return Integrators(count, states if count else (), basis, limit), rest

@@ -1,0 +1,49 @@
+"""Poles of a linear system."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.response.realization import balancing, realization
+from cellsys.response.roots import RootSet, order
+from cellsys.response.spectrum import spectrum
+
+
+def poles(sys: Any) -> RootSet:
+    """Poles: eigenvalues of A, with condition numbers, error bounds and clusters.
+
+        det(s I - A) = 0                    (all of them, also unobservable or uncontrollable ones)
+
+    The matrix is balanced first. A pole of multiplicity k is only known to about eps^(1/k): the
+    k computed ones form a cluster whose bound says so. See `Spectrum` for the bounds.
+
+    Parameters
+    ----------
+    sys : control.StateSpace, TransferFunction (SISO), tuple of arrays or matrix A
+
+    Returns
+    -------
+    RootSet
+        Complex array (n,), falling real part; 1/s in continuous time.
+
+    Raises
+    ------
+    DataError, DimensionError, ParameterError, BudgetError
+        NaN or inf in a matrix, sizes that do not fit, not a linear system, sparse and too large.
+
+    References
+    ----------
+    Wilkinson, The Algebraic Eigenvalue Problem (1965), section 2; LAPACK geev.
+    """
+    system = realization(sys).dense()
+    A = balancing(system.A)[0]
+    values = sla.eigvals(A) if A.size else np.zeros(0, complex)
+    values = values[order(values)]
+
+    def detail(values: np.ndarray) -> Any:
+        return spectrum(A, values)
+
+    return RootSet(values, kind="pole", dt=system.dt, detail=detail)
