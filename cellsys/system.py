@@ -78,6 +78,7 @@ class Layout(Sequence[Block]):
         twice = {n for n in names if names.count(n) > 1}
         if twice:
             raise ParameterError(f"block names must be unique, got {sorted(twice)} twice")
+        self._by_name = {b.name: b for b in self._blocks}
         edges = np.concatenate([[0], np.cumsum([b.size for b in self._blocks])]).astype(int)
         self._slices = {
             b.name: slice(int(edges[i]), int(edges[i + 1])) for i, b in enumerate(self._blocks)
@@ -91,12 +92,7 @@ class Layout(Sequence[Block]):
         return iter(self._blocks)
 
     def __getitem__(self, key: Any) -> Any:
-        if isinstance(key, str):
-            for block in self._blocks:
-                if block.name == key:
-                    return block
-            raise KeyError(key)
-        return self._blocks[key]
+        return self._by_name[key] if isinstance(key, str) else self._blocks[key]
 
     def __contains__(self, key: object) -> bool:
         return key in self._slices or key in self._blocks
@@ -123,8 +119,7 @@ class Layout(Sequence[Block]):
 
     def view(self, array: np.ndarray, name: str) -> np.ndarray:
         """The block's entries as a view of shape ``array.shape[:-1] + block.shape``."""
-        piece = array[..., self.slice(name)]
-        return piece.reshape(array.shape[:-1] + self[name].shape)
+        return array[..., self.slice(name)].reshape(array.shape[:-1] + self._by_name[name].shape)
 
     @property
     def names(self) -> list[str]:
@@ -286,3 +281,67 @@ def _dm(matrix: sp.csr_array) -> Any:
     import casadi as ca
 
     return ca.DM(sp.csc_matrix(matrix))
+
+
+class MajorantBlock(NamedTuple):
+    """A piece of the tangent's over-estimate: SPD `matrix()` (k, k) on each column of `index` (k, c).
+
+    The c columns (coordinates of the same nodes) share one matrix and one factorisation. `key`
+    changes when the matrix does, and only then is `matrix` called.
+    """
+
+    name: str
+    index: np.ndarray
+    matrix: Callable[[], sp.csc_array]
+    key: Any
+
+
+class RankOne(NamedTuple):
+    """A stiff direction k g g^T (pressure of a closed membrane), g (k,) on the states `index`."""
+
+    index: np.ndarray
+    stiffness: float
+    direction: np.ndarray
+
+
+class OverdampedSystem(OdeSystem):
+    """An `OdeSystem` of nodes with drag, and of internal states that follow them.
+
+        C dx_i/dt = F_i(x)      nodes, through nodal force ports (constant W_eta = I/C)
+        ds/dt = r(x, v, s)      internal states (bonds, polarity), rates in blocks of eta
+
+    It gives a linearly implicit integrator what it needs beyond the right-hand side.
+    """
+
+    def drag(self) -> np.ndarray:
+        """Drag of each state (n,), pN s/um; 0 marks internal states, inf clamped nodes."""
+        raise NotImplementedError
+
+    def efforts(self, t: float, x: np.ndarray) -> np.ndarray:
+        """Like `eta`, with the blocks that hold rates of internal states left at zero."""
+        raise NotImplementedError
+
+    def forget(self) -> None:
+        """Drop whatever is kept between looks at the tangent: a run must not see an earlier one."""
+
+    def internal_blocks(self) -> tuple[tuple[slice, slice], ...]:
+        """(slice of x, slice of eta) of every internal state and its rate."""
+        raise NotImplementedError
+
+    def advance_internal(self, t: float, x: np.ndarray, x_new: np.ndarray, dt: float) -> None:
+        """Fill the internal states of `x_new`, given its node positions and the old state."""
+        raise NotImplementedError
+
+    def majorant(self, t: float, x: np.ndarray, dt: float) -> tuple[MajorantBlock, ...]:
+        """Sparse SPD over-estimates of -dF/dx; together they cover every node state once."""
+        raise NotImplementedError
+
+    def low_rank(self, t: float, x: np.ndarray) -> tuple[RankOne, ...]:
+        """Stiff directions to be added to the majorant by the Woodbury identity."""
+        return ()
+
+    def between_steps(
+        self, t: float, x: np.ndarray, dt: float, rng: np.random.Generator
+    ) -> tuple[np.ndarray, tuple[Event, ...]]:
+        """Discrete changes (binding, rupture) at the start of a step: new state and events."""
+        return x, ()

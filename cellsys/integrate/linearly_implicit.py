@@ -1,0 +1,199 @@
+"""Linearly implicit Euler with a kept, over-estimated tangent.
+
+From the extrapolated state x* = x + dt v (v the last step's velocity) one correction
+
+    (C/dt + M) delta = F(x*) - C v ,      x+ = x* + delta
+
+is made, with M >= -dF/dx/..., factorised once and kept while it still bounds the tangent. With
+M equal to the tangent this is implicit Euler; with M too large by a factor it stays first order
+and stable, while M below 3/4 of the tangent would oscillate (the two-cycle of a lagged tangent).
+Pressure of a closed membrane adds a rank-one term by the Woodbury identity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+
+from cellsys.errors import ParameterError
+from cellsys.integrate.stepping import Stepper, check_step
+from cellsys.system import MajorantBlock, OdeSystem, OverdampedSystem
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearlyImplicit:
+    """First-order W-method for overdamped systems: one force evaluation and one solve a step.
+
+    Parameters
+    ----------
+    step : float
+        Largest step, s.
+    refresh : int
+        Steps between two looks at the tangent; a block is factorised again only when its
+        system says that it changed.
+    corrections : int
+        Most corrections of one step. A second one is made only when the first moved the state
+        by more than the step itself did (start of a run, jump of a command, rupture).
+    largest_move : float
+        Largest displacement of a node in one step, um; a step beyond it is halved, at most ten
+        times, and then fails.
+    """
+
+    step: float
+    refresh: int = 20
+    corrections: int = 3
+    largest_move: float = 0.2
+
+    def __post_init__(self) -> None:
+        check_step("LinearlyImplicit", self.step)
+        for name in ("refresh", "corrections"):
+            if getattr(self, name) < 1:
+                raise ParameterError(f"LinearlyImplicit.{name} must be >= 1")
+        check_step("LinearlyImplicit (largest_move as)", self.largest_move)
+
+    def start(
+        self, system: OdeSystem, t0: float, x0: np.ndarray, rng: np.random.Generator
+    ) -> Stepper:
+        """A stepper at (t0, x0)."""
+        if not isinstance(system, OverdampedSystem):
+            raise ParameterError(
+                "LinearlyImplicit needs a system with drag and a majorant of its tangent; "
+                "use CVODES or ExplicitEuler for this one"
+            )
+        return _ImplicitStepper(self, system, t0, x0, rng)
+
+
+@dataclass
+class _Factor:
+    """A kept factorisation of C/dt + M on one block of states."""
+
+    index: np.ndarray
+    key: Any
+    dt: float
+    solve: Any
+
+
+class _ImplicitStepper(Stepper):
+    system: OverdampedSystem
+
+    def __init__(self, method, system, t0, x0, rng) -> None:  # type: ignore[no-untyped-def]
+        super().__init__(system, t0, x0, rng, method.step)
+        self.method = method
+        self.drag = system.drag()
+        self.moving = np.isfinite(self.drag) & (self.drag > 0)
+        self.force_scale = np.where(self.moving, self.drag, 0.0)
+        self.velocity = np.zeros(system.states.size)
+        self.factors: dict[str, _Factor] = {}
+        self.since_look = method.refresh
+        system.forget()
+
+    def memory(self) -> dict[str, np.ndarray]:
+        # The next interval starts with a fresh look at the tangent, here and after a resume.
+        self.since_look = self.method.refresh
+        self.factors.clear()
+        self.system.forget()
+        return {"velocity": self.velocity}
+
+    def restore(self, memory: dict[str, np.ndarray]) -> None:
+        self.velocity = memory["velocity"].copy()
+
+    def _look(self, t: float, x: np.ndarray, dt: float) -> None:
+        for block in self.system.majorant(t, x, dt):
+            kept = self.factors.get(block.name)
+            if kept is None or kept.key != block.key or kept.dt != dt:
+                self.factors[block.name] = self._factorise(block, dt)
+                self.statistics["factorisations"] += 1
+        self.since_look = 0
+
+    def _factorise(self, block: MajorantBlock, dt: float) -> _Factor:
+        keep = self.moving[block.index[:, 0]]
+        index = block.index[keep]
+        matrix = block.matrix()
+        if not keep.all():
+            matrix = matrix[keep][:, keep]
+        matrix = sp.csc_matrix(matrix + sp.diags_array(self.drag[index[:, 0]] / dt))
+        factor = spla.splu(
+            matrix,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        return _Factor(index, block.key, dt, factor.solve)
+
+    def _base_solve(self, rhs: np.ndarray, out: np.ndarray) -> None:
+        for factor in self.factors.values():
+            if factor.index.size:
+                out[factor.index] = factor.solve(rhs[factor.index])
+                self.statistics["solves"] += 1
+
+    def _solve(self, rhs: np.ndarray, low_rank: tuple) -> np.ndarray:
+        out = np.zeros_like(rhs)
+        self._base_solve(rhs, out)
+        if not low_rank:
+            return out
+        # Woodbury: (M + G K G^T)^-1 r = u - Z (K^-1 + G^T Z)^-1 G^T u, u = M^-1 r, Z = M^-1 G
+        G = np.zeros((rhs.size, len(low_rank)))
+        Z = np.zeros_like(G)
+        for j, item in enumerate(low_rank):
+            G[item.index, j] = item.direction
+            touched = np.zeros(rhs.size, bool)
+            touched[item.index] = True
+            for factor in self.factors.values():
+                if factor.index.size and touched[factor.index[0, 0]]:
+                    Z[factor.index, j] = factor.solve(G[factor.index, j])
+        small = np.diag([1.0 / item.stiffness for item in low_rank]) + G.T @ Z
+        return out - Z @ sla.solve(small, G.T @ out, assume_a="pos")
+
+    def take_step(self, t: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
+        for _ in range(11):
+            done = self._try(t, dt)
+            if done is not None:
+                return done
+            self.statistics["rejected"] += 1
+            # Two halves, so that the logged average still belongs to the whole step.
+            half = 0.5 * dt
+            if half < dt / 2.0**10 or half < 1e-6:
+                break
+            eta_1, u_1 = self.take_step(t, half)
+            eta_2, u_2 = self.take_step(t + half, half)
+            return 0.5 * (eta_1 + eta_2), 0.5 * (u_1 + u_2)
+        self.fail(t, dt, "LinearlyImplicit: a node moves too far even in a tiny step")
+        raise AssertionError  # unreachable: fail raises
+
+    def _try(self, t: float, dt: float) -> tuple[np.ndarray, np.ndarray] | None:
+        system, start = self.system, self.x
+        x, happened = system.between_steps(t, start, dt, self.rng)
+        if self.since_look >= self.method.refresh or happened or self._dt_changed(dt):
+            self._look(t, x, dt)
+        self.since_look += 1
+        velocity = self.velocity if t not in self.stops else np.zeros_like(self.velocity)
+        end = x + dt * velocity
+        t_end = t + dt
+        for _ in range(self.method.corrections):
+            system.advance_internal(t, x, end, dt)
+            eta, u = system.efforts(t_end, end), system.u(t_end, end)
+            self.statistics["rhs"] += 1
+            rate = system.W_x @ end + system.W_eta @ eta + u
+            residual = self.force_scale * (rate - (end - x) / dt)
+            delta = self._solve(residual, system.low_rank(t_end, end))
+            end = end + delta
+            moved = float(np.linalg.norm((end - x)[self.moving]))
+            if float(np.linalg.norm(delta[self.moving])) <= 0.5 * moved:
+                break
+        if np.isfinite(moved) and np.abs((end - x)[self.moving]).max() > self.method.largest_move:
+            return None
+        system.advance_internal(t, x, end, dt)
+        self.velocity = np.where(self.moving, (end - x) / dt, 0.0)
+        self.events.extend(happened)
+        self.x = end
+        for states, rates in system.internal_blocks():
+            eta[rates] = (end[states] - x[states]) / dt
+        return eta, u
+
+    def _dt_changed(self, dt: float) -> bool:
+        return any(factor.dt != dt for factor in self.factors.values())

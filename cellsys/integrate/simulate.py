@@ -1,0 +1,279 @@
+"""`simulate`: problem, method, data, in that order."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from cellsys.errors import BudgetError, DataError, DimensionError
+from cellsys.system import Block, Event, Layout, OdeSystem
+from cellsys.trajectory import Trajectory
+
+SEGMENT = 20  # samples between two checkpoints
+
+
+class Sink(Protocol):
+    """Where the rows of a run go: memory, or a run folder that can be resumed."""
+
+    arrays: dict[str, np.ndarray]
+
+    def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
+        """Make the rows so far durable."""
+
+    def last_checkpoint(self) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
+        """Where an interrupted run stopped."""
+
+
+class _Memory:
+    def __init__(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
+        need = 8 * sum(int(np.prod(s)) for s in shapes.values())
+        free = available_memory()
+        if need > free:
+            raise BudgetError(
+                f"this run needs {need / 1e9:.1f} GB of memory and {free / 1e9:.1f} GB are free; "
+                "sample less often, shorten the run, or record it without auxiliaries"
+            )
+        self.arrays = {name: np.zeros(shape) for name, shape in shapes.items()}
+
+    def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
+        """Nothing to keep: a run in memory is not resumed."""
+
+    def last_checkpoint(self) -> None:
+        """None."""
+        return None
+
+
+def available_memory() -> float:
+    """Bytes of memory that can be had without swapping; inf where the system does not say."""
+    try:
+        with open("/proc/meminfo", encoding="ascii") as file:
+            for line in file:
+                if line.startswith("MemAvailable:"):
+                    return 1024.0 * float(line.split()[1])
+    except OSError:
+        pass
+    return float("inf")
+
+
+def auxiliary_layout(system: OdeSystem) -> Layout:
+    """Auxiliaries as logged: the system's own, then ``step_residual`` (n,)."""
+    return system.auxiliaries + Layout(
+        [Block("step_residual", (system.states.size,), "state/s", "component", "rate")]
+    )
+
+
+def record_shapes(
+    system: OdeSystem, t: np.ndarray, auxiliaries: bool
+) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays that a run of `system` over `t` fills."""
+    n, T = system.states.size, len(t)
+    shapes: dict[str, tuple[int, ...]] = {"x": (T, n)}
+    if auxiliaries:
+        shapes["eta"] = (max(T - 1, 0), auxiliary_layout(system).size)
+        shapes["u"] = (max(T - 1, 0), n)
+    for name, value in system.observe(float(t[0]), system.x0).items():
+        shapes[name] = (T, *value.shape)
+    return shapes
+
+
+def check_times(t: Any) -> np.ndarray:
+    """Times as a float array: at least one, finite, increasing."""
+    times = np.atleast_1d(np.asarray(t, dtype=float))
+    if times.ndim != 1 or not times.size:
+        raise DimensionError(f"t must be a 1-D array of times in s, got shape {np.shape(t)}")
+    if not np.all(np.isfinite(times)):
+        raise DataError("t holds NaN or inf")
+    if np.any(np.diff(times) <= 0):
+        raise DataError("t must increase from sample to sample")
+    return times
+
+
+def simulate(
+    system: OdeSystem,
+    integrator: Any,
+    t: np.ndarray,
+    x0: np.ndarray | None = None,
+    *,
+    seed: int | np.random.SeedSequence = 0,
+    auxiliaries: bool = True,
+    sink: Sink | None = None,
+    progress: Callable[[float], None] | None = None,
+    label: str = "",
+) -> Trajectory:
+    """Integrate a system and record it at the times `t`.
+
+    Parameters
+    ----------
+    system : OdeSystem
+        What to integrate.
+    integrator : LinearlyImplicit, ExplicitEuler, CVODES or RungeKutta4
+        How; it carries its step or tolerances.
+    t : array (T,)
+        Sample times, s, increasing; the run starts at t[0].
+    x0 : array (n,), optional
+        Initial state; default the system's own.
+    seed : int or SeedSequence
+        Of everything random in the run; the same seed gives the same run, bit for bit.
+    auxiliaries : bool
+        Whether eta and u are recorded (averages over each sampling interval).
+    sink : Sink, optional
+        Where rows go; default memory. A sink with a checkpoint is continued.
+    progress : callable, optional
+        Called with the share done, 0 to 1.
+
+    Raises
+    ------
+    IntegrationError
+        When the integrator fails or returns NaN; it has the time, state norm and step.
+    BudgetError
+        When the record does not fit into memory.
+    """
+    times = check_times(t)
+    start = np.array(system.x0 if x0 is None else x0, dtype=float)
+    if start.shape != system.x0.shape:
+        raise DimensionError(f"x0 must have shape {system.x0.shape}, got {start.shape}")
+    if not np.all(np.isfinite(start)):
+        raise DataError("x0 holds NaN or inf")
+    rows = (
+        sink
+        if sink is not None
+        else _Memory(record_shapes(system, times, auxiliaries))
+    )
+    began = clock.perf_counter()
+    if hasattr(integrator, "solve"):
+        statistics, events = _record_solution(
+            system, integrator.solve(system, times, start), times, rows, auxiliaries
+        )
+    else:
+        rng = np.random.default_rng(
+            seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        )
+        statistics, events = _march(
+            system, integrator, times, start, rng, rows, auxiliaries, progress
+        )
+    statistics["wall_time"] = statistics.get("wall_time", 0.0) + clock.perf_counter() - began
+    statistics["integrator"] = repr(integrator)
+    return trajectory_of(system, times, rows.arrays, events, statistics, label)
+
+
+def trajectory_of(
+    system: OdeSystem,
+    t: np.ndarray,
+    arrays: Mapping[str, np.ndarray],
+    events: tuple[Event, ...],
+    statistics: Mapping[str, Any],
+    label: str,
+) -> Trajectory:
+    """A `Trajectory` over recorded arrays."""
+    full = "eta" in arrays
+    return Trajectory(
+        t=t,
+        x=arrays["x"],
+        states=system.states,
+        eta=arrays.get("eta"),
+        u=arrays.get("u"),
+        auxiliaries=auxiliary_layout(system) if full else Layout(),
+        W_x=system.W_x if full else None,
+        W_eta=(
+            sp.csr_array(sp.hstack([system.W_eta, sp.eye_array(system.states.size)]))
+            if full
+            else None
+        ),
+        p=arrays.get("p"),
+        d=arrays.get("d"),
+        amplitude=arrays.get("amplitude"),
+        events=events,
+        statistics=statistics,
+        label=label,
+    )
+
+
+def _log(
+    system: OdeSystem,
+    arrays: Mapping[str, np.ndarray],
+    k: int,
+    t: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    eta: np.ndarray,
+    u: np.ndarray,
+) -> None:
+    """Row k of eta and u; what the laws do not explain goes to the last block."""
+    rate = (after - before) / (t[k + 1] - t[k])
+    n_eta = system.auxiliaries.size
+    arrays["eta"][k, :n_eta] = eta
+    arrays["eta"][k, n_eta:] = rate - system.W_x @ before - system.W_eta @ eta - u
+    arrays["u"][k] = u
+
+
+def _sample(
+    system: OdeSystem, arrays: Mapping[str, np.ndarray], k: int, t: float, x: np.ndarray
+) -> None:
+    arrays["x"][k] = x
+    for name, value in system.observe(t, x).items():
+        if name in arrays:
+            arrays[name][k] = value
+
+
+def _march(
+    system: OdeSystem,
+    integrator: Any,
+    t: np.ndarray,
+    x0: np.ndarray,
+    rng: np.random.Generator,
+    rows: Sink,
+    auxiliaries: bool,
+    progress: Callable[[float], None] | None,
+) -> tuple[dict[str, Any], tuple[Event, ...]]:
+    stepper = integrator.start(system, float(t[0]), x0, rng)
+    first, wall = 0, 0.0
+    kept = rows.last_checkpoint()
+    if kept is not None:
+        arrays, meta = kept
+        first, wall = int(meta["sample"]), float(meta["wall_time"])
+        stepper.t, stepper.x = float(t[first]), arrays["x"].copy()
+        stepper.restore(arrays)
+        stepper.events = [Event(*e) for e in meta["events"]]
+        stepper.statistics.update(meta["statistics"])
+        rng.bit_generator.state = meta["rng"]
+    else:
+        _sample(system, rows.arrays, 0, float(t[0]), x0)
+    began = clock.perf_counter()
+    for k in range(first, len(t) - 1):
+        before = stepper.x.copy()
+        eta, u = stepper.advance(float(t[k + 1]))
+        if auxiliaries:
+            _log(system, rows.arrays, k, t, before, stepper.x, eta, u)
+        _sample(system, rows.arrays, k + 1, float(t[k + 1]), stepper.x)
+        if (k + 1) % SEGMENT == 0 and k + 2 < len(t):
+            memory = stepper.memory()
+            rows.checkpoint(
+                {"x": stepper.x, **memory},
+                {
+                    "sample": k + 1,
+                    "wall_time": wall + clock.perf_counter() - began,
+                    "events": [list(e) for e in stepper.events],
+                    "statistics": stepper.statistics,
+                    "rng": rng.bit_generator.state,
+                },
+            )
+        if progress is not None:
+            progress((k + 1) / (len(t) - 1))
+    return {**stepper.statistics, "wall_time": wall}, tuple(stepper.events)
+
+
+def _record_solution(
+    system: OdeSystem, solution: Any, t: np.ndarray, rows: Sink, auxiliaries: bool
+) -> tuple[dict[str, Any], tuple[Event, ...]]:
+    for k in range(len(t)):
+        _sample(system, rows.arrays, k, float(t[k]), solution.x[k])
+        if auxiliaries and k + 1 < len(t):
+            u = solution.u[k]
+            _log(
+                system, rows.arrays, k, t, solution.x[k], solution.x[k + 1], solution.eta[k], u
+            )
+    return dict(solution.statistics), tuple(solution.events)

@@ -1,0 +1,84 @@
+"""What fixed-step integrators share: cutting an interval into steps, averages, failures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from cellsys.errors import IntegrationError, ParameterError
+from cellsys.system import Event, OdeSystem
+
+
+def check_step(name: str, step: float) -> None:
+    """A step is a finite number of seconds above zero."""
+    if not (np.isfinite(step) and step > 0):
+        raise ParameterError(f"{name}.step must be a finite time > 0 s, got {step!r}")
+
+
+def cuts(t0: float, t1: float, step: float, stops: np.ndarray) -> np.ndarray:
+    """Times from t0 to t1 in equal steps of at most `step`, hitting every stop point between."""
+    inner = stops[(stops > t0) & (stops < t1)]
+    edges = np.concatenate([[t0], inner, [t1]])
+    times = [np.array([t0])]
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        n = max(1, int(np.ceil((b - a) / step * (1.0 - 1e-12))))
+        times.append(a + (b - a) * np.arange(1, n + 1) / n)
+        times[-1][-1] = b
+    return np.concatenate(times)
+
+
+class Stepper:
+    """State of a fixed-step run between two samples.
+
+    `advance(t1)` moves from `self.t` to t1 and returns the averages of eta and u over the
+    interval. `memory` and `restore` carry what a later interval needs, so that a run resumed at
+    a sample continues bit for bit.
+    """
+
+    def __init__(
+        self, system: OdeSystem, t0: float, x0: np.ndarray, rng: np.random.Generator, step: float
+    ) -> None:
+        self.system, self.t, self.x, self.rng, self.step = system, float(t0), x0.copy(), rng, step
+        self.stops = np.unique(np.asarray(system.stop_points(), dtype=float))
+        self.events: list[Event] = []
+        self.statistics = {"steps": 0, "rhs": 0, "factorisations": 0, "solves": 0, "rejected": 0}
+
+    def memory(self) -> dict[str, np.ndarray]:
+        """Arrays that the next interval depends on, apart from t and x."""
+        return {}
+
+    def restore(self, memory: dict[str, np.ndarray]) -> None:
+        """Take back what `memory` gave."""
+
+    def take_step(self, t: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
+        """One step from (t, self.x); returns eta and u of the step."""
+        raise NotImplementedError
+
+    def advance(self, t1: float) -> tuple[np.ndarray, np.ndarray]:
+        """Move to t1; returns the averages of eta (n_eta,) and u (n,) over the interval."""
+        t0 = self.t
+        times = cuts(t0, t1, self.step, self.stops)
+        eta_sum = np.zeros(self.system.auxiliaries.size)
+        u_sum = np.zeros(self.system.states.size)
+        for a, b in zip(times[:-1], times[1:], strict=True):
+            eta, u = self.take_step(float(a), float(b - a))
+            self.statistics["steps"] += 1
+            if not np.isfinite(self.x.sum()):
+                self.fail(float(b), float(b - a))
+            eta_sum += (b - a) * eta
+            u_sum += (b - a) * u
+        self.t = float(t1)
+        return eta_sum / (t1 - t0), u_sum / (t1 - t0)
+
+    def fail(self, t: float, dt: float, reason: str | None = None) -> None:
+        """Raise the typed error, naming the first state that is not finite."""
+        bad = np.flatnonzero(~np.isfinite(self.x))
+        if reason is None:
+            name = self.system.states.names[bad[0]] if bad.size else "the state's norm"
+            reason = f"{type(self).__name__}: {name} is not finite; use a smaller step"
+        norm = float(np.linalg.norm(self.x[np.isfinite(self.x)]))
+        raise IntegrationError(reason, time=t, state_norm=norm, step=dt)
+
+
+StepperFactory = Callable[[OdeSystem, float, np.ndarray, np.random.Generator], Stepper]

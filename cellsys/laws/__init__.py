@@ -1,0 +1,1 @@
+"""The physics written once: array functions that take numpy or CasADi."""

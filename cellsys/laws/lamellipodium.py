@@ -1,0 +1,44 @@
+"""Protrusion force of the leading edge.
+
+    F_i = F (1 - z/h)_+ w(cos angle(e_r, p)) (e_r - c e_z)          [thesis 4.4, mechanics 2.4b]
+
+e_r is the outward radial direction from the centroid in the substrate plane, w the smoothstep
+from cosine `edge` to cosine `full`: a hard sector edge would itself be a switch.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def smoothstep(value: np.ndarray, low: float, high: float) -> np.ndarray:
+    """0 below `low`, 1 above `high`, cubic with zero slope at both ends between."""
+    q = np.clip((value - low) / (high - low), 0.0, 1.0)
+    return q * q * (3.0 - 2.0 * q)
+
+
+def protrusion(
+    x: np.ndarray,
+    p: np.ndarray,
+    force: float,
+    height: float,
+    edge: float,
+    full: float,
+    downward: float,
+) -> np.ndarray:
+    """Force on each membrane node (n, 3), pN.
+
+    x : (n, 3) um; p : (3,) polarity, projected on the substrate plane (no force when p is
+    normal to it); force in pN; height in um; edge, full: cosines; downward: -z part.
+    """
+    heading = float(np.hypot(p[0], p[1]))
+    out = np.zeros_like(x)
+    if heading == 0.0 or force == 0.0:
+        return out
+    away = x[:, :2] - x[:, :2].mean(axis=0)
+    away = away / np.sqrt((away**2).sum(axis=1) + 1e-12)[:, None]
+    weight = smoothstep(away @ (np.asarray(p)[:2] / heading), edge, full)
+    weight *= force * np.clip(1.0 - x[:, 2] / height, 0.0, 1.0)
+    out[:, :2] = weight[:, None] * away
+    out[:, 2] = -downward * weight
+    return out

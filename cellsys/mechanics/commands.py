@@ -1,0 +1,64 @@
+"""Prescribed histories: heading and amplitude of the lamellipodium, external loads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellsys.errors import ParameterError
+
+
+@dataclass(frozen=True)
+class History:
+    """Piecewise linear function of time, constant before the first and after the last knot.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Increasing, s.
+    values : sequence of float
+        One per time.
+    """
+
+    times: tuple[float, ...]
+    values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "times", tuple(float(t) for t in self.times))
+        object.__setattr__(self, "values", tuple(float(v) for v in self.values))
+        if len(self.times) != len(self.values) or not self.times:
+            raise ParameterError(
+                f"a history needs as many values as times, and at least one; "
+                f"got {len(self.times)} times and {len(self.values)} values"
+            )
+        if not np.all(np.isfinite([*self.times, *self.values])):
+            raise ParameterError("a history must be finite")
+        if any(b <= a for a, b in zip(self.times, self.times[1:], strict=False)):
+            raise ParameterError(f"times of a history must increase, got {list(self.times)}")
+
+    def __call__(self, t: float) -> float:
+        """Value at time t."""
+        return float(np.interp(t, self.times, self.values))
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What is prescribed to a cell instead of, or on top of, its polarity loop.
+
+    Parameters
+    ----------
+    heading : History, optional
+        Angle of the polarity in the substrate plane, rad; replaces the polarity law.
+    amplitude : History, optional
+        Factor on the lamellipodium force; 1 when left out.
+    """
+
+    heading: History | None = None
+    amplitude: History | None = None
+
+    def stop_points(self) -> tuple[float, ...]:
+        """Knots of all histories, s."""
+        parts: Sequence[History | None] = (self.heading, self.amplitude)
+        return tuple(t for h in parts if h is not None for t in h.times)

@@ -1,0 +1,176 @@
+"""Matrix: fibres (linear, buckling, stiffening), foundation, external loads, drag."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from cellsys.laws.fibre import NEVER, FibreLaw, axial_energy
+from cellsys.mechanics.effects.membrane import diagonal
+from cellsys.mechanics.effects.protocol import (
+    Configuration,
+    Effect,
+    Element,
+    Port,
+    Site,
+    Stiffness,
+    parameter,
+)
+from cellsys.mechanics.fibre_kernels import fibre_forces, fibre_slopes
+from cellsys.mechanics.geometry.disc import Disc, StiffnessAssembly
+
+MATRIX = "matrix"
+_STIFFER, _SOFTER, _MARGIN = 1.2, 0.6, 1.1
+
+
+@dataclass(frozen=True)
+class Drag(Effect):
+    """Viscous drag of every node; sets the constant 1/C of W_eta [thesis eq. 63-64]."""
+
+    name: ClassVar[str] = "drag"
+    acts_on: ClassVar[str] = "scene"
+    cell: float = parameter(
+        "1000 pN s/um", "pN s/um", above=0.0, source="thesis code C_c", about="membrane node"
+    )
+    cortex: float = parameter(
+        "1000 pN s/um", "pN s/um", least=0.0, source="thesis code C_cort", about="cortex, condensed"
+    )
+    matrix: float = parameter(
+        "1000 pN s/um", "pN s/um", above=0.0, source="thesis code C_e", about="matrix node"
+    )
+
+
+@dataclass(frozen=True)
+class MatrixElasticity(Effect):
+    """Central-force fibres, f = k l0 g(strain) along the fibre [thesis 4.3]."""
+
+    name: ClassVar[str] = "matrix_elasticity"
+    acts_on: ClassVar[str] = "matrix"
+    law: str = parameter(
+        "buckling",
+        choices=("linear", "buckling", "stiffening"),
+        source="numerics II.1",
+        about="axial law",
+    )
+    buckling_ratio: float = parameter(
+        "0.3", above=0.0, most=1.0, source="numerics II.1", about="slope in compression"
+    )
+    blend: float = parameter(
+        "0.002", above=0.0, source="numerics II.1", about="strain over which the slope changes"
+    )
+    onset: float = parameter(
+        "0.05", above=0.0, source="mechanics 2.6", about="strain at which stiffening starts"
+    )
+    greatest_slope: float = parameter(
+        "10", least=1.0, source="mechanics 2.6", about="slope after stiffening"
+    )
+
+    def fibre_law(self) -> FibreLaw:
+        """The axial law with this effect's numbers."""
+        if self.law == "linear":
+            return FibreLaw(1.0, self.blend, NEVER, 0.0)
+        onset = NEVER if self.law == "buckling" else self.onset
+        return FibreLaw(self.buckling_ratio, self.blend, onset, self.greatest_slope - 1.0)
+
+    def elements(self, site: Site) -> tuple[Element, ...]:
+        return (FibreElement(self, site.matrix),)
+
+
+class FibreElement(Element):
+    """All fibres of the matrix as one C-field."""
+
+    def __init__(self, effect: MatrixElasticity, disc: Disc) -> None:
+        self.disc, self.law = disc, effect.fibre_law()
+        self.name = f"{MATRIX}.{effect.name}"
+        self.ports = (Port(MATRIX, self.name),)
+        self._kept: np.ndarray | None = None
+        self._key = 0
+        self._assembly: StiffnessAssembly | None = None
+
+    def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
+        d = self.disc
+        fibre_forces(
+            d.position, s.nodes[MATRIX], d.fibres, d.length, d.stiffness, *self.law, out[0]
+        )
+
+    def energy(self, s: Configuration) -> float:
+        d = self.disc
+        now = d.position + s.nodes[MATRIX]
+        offset = now[d.fibres[:, 1]] - now[d.fibres[:, 0]]
+        strain = np.sqrt((offset**2).sum(axis=1) + 1e-12) / d.length - 1.0
+        return float((d.stiffness * d.length**2) @ axial_energy(strain, *self.law))
+
+    def forget(self) -> None:
+        self._kept = None
+
+    def slopes(self, s: Configuration) -> tuple[np.ndarray, np.ndarray]:
+        """Tangent slope g' and tension (pN) of every fibre."""
+        if self.name not in s.cache:
+            d = self.disc
+            slope, tension = np.empty(len(d.fibres)), np.empty(len(d.fibres))
+            fibre_slopes(
+                d.position,
+                s.nodes[MATRIX],
+                d.fibres,
+                d.length,
+                d.stiffness,
+                *self.law,
+                slope,
+                tension,
+            )
+            s.cache[self.name] = slope, tension
+        return s.cache[self.name]
+
+    def stiffness(self, s: Configuration) -> tuple[Stiffness, ...]:
+        # A fibre passes from its buckled to its full slope within a few nm, faster than any look:
+        # 1 bounds every slope that has not stiffened, and one factorisation then serves a run.
+        slope = np.ones(1) if self.law.onset == NEVER else np.maximum(self.slopes(s)[0], 1.0)
+        if (
+            self._kept is None
+            or np.any(slope > self._kept)
+            or slope.sum() < _SOFTER * self._kept.sum()
+        ):
+            self._kept, self._key = np.where(slope > 1.0, _STIFFER * slope, 1.0), self._key + 1
+        return (Stiffness(MATRIX, (), self._bound, self._key),)
+
+    def _bound(self) -> sp.csc_array:
+        """Sum of k g' n n^T over fibres, (3n, 3n), with a margin for tension and turning."""
+        d = self.disc
+        if self._assembly is None:
+            self._assembly = StiffnessAssembly(d.position, d.fibres)
+        return self._assembly(_MARGIN * d.stiffness * self._kept)
+
+
+@dataclass(frozen=True)
+class Foundation(Effect):
+    """Weak vertical spring under every matrix node: the soft support below the film."""
+
+    name: ClassVar[str] = "foundation"
+    acts_on: ClassVar[str] = "matrix"
+    spring: float = parameter(
+        "500 pN/um", "pN/um", least=0.0, source="numerics II.1", about="vertical spring of a node"
+    )
+
+    def elements(self, site: Site) -> tuple[Element, ...]:
+        return (_FoundationElement(self, site.matrix),)
+
+
+class _FoundationElement(Element):
+    def __init__(self, effect: Foundation, disc: Disc) -> None:
+        self.spring, self.disc = effect.spring, disc
+        self.name = f"{MATRIX}.{effect.name}"
+        self.ports = (Port(MATRIX, self.name),)
+
+    def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
+        out[0][:, 2] = -self.spring * s.nodes[MATRIX][:, 2]
+
+    def energy(self, s: Configuration) -> float:
+        z = s.nodes[MATRIX][:, 2]
+        return 0.5 * self.spring * float(z @ z)
+
+    def stiffness(self, s: Configuration) -> tuple[Stiffness, ...]:
+        springs = np.full(len(self.disc.position), self.spring)
+        return (Stiffness(MATRIX, (2,), lambda: diagonal(springs), 0),)

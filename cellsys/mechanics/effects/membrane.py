@@ -1,0 +1,301 @@
+"""Membrane: elastic lines and areas, volume, cortical tension, contact with the substrate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from cellsys.mechanics.compiled import compiled
+from cellsys.mechanics.effects.protocol import (
+    CellBody,
+    Configuration,
+    Effect,
+    Element,
+    Port,
+    Site,
+    Stiffness,
+    parameter,
+)
+from cellsys.mechanics.geometry.membrane import volume_gradient
+
+_SOFT = 1e-6  # um^2 (um^4 for squared areas): keeps lengths and normals away from 0/0
+
+
+@compiled
+def line_forces(x, edges, rest, stiffness, cubic, force):
+    """Forces of nonlinear springs E = k d^2/2 + k c d^4/(4 L0^2), d = L - L0; returns E."""
+    energy = 0.0
+    for e in range(edges.shape[0]):
+        i, j = edges[e, 0], edges[e, 1]
+        d0, d1, d2 = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+        length = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2 + _SOFT)
+        stretch = length - rest[e]
+        c = cubic / (rest[e] * rest[e])
+        tension = stiffness * stretch * (1.0 + c * stretch * stretch) / length
+        energy += stiffness * stretch * stretch * (0.5 + 0.25 * c * stretch * stretch)
+        force[i, 0] += tension * d0
+        force[i, 1] += tension * d1
+        force[i, 2] += tension * d2
+        force[j, 0] -= tension * d0
+        force[j, 1] -= tension * d1
+        force[j, 2] -= tension * d2
+    return energy
+
+
+@compiled
+def area_forces(x, triangles, rest, stiffness, tension, force):
+    """Forces of E = sum A0 k_a h(A/A0) + gamma A over triangles; returns E.
+
+    h(J) = (J - 1)^2/2 for J >= 1 and (1/J - 1)^2/2 below: twice differentiable, and no triangle
+    can be squeezed to nothing (tension alone would collapse it).
+    """
+    energy = 0.0
+    for t in range(triangles.shape[0]):
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        b0, b1, b2 = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+        c0, c1, c2 = x[k, 0] - x[i, 0], x[k, 1] - x[i, 1], x[k, 2] - x[i, 2]
+        n0, n1, n2 = b1 * c2 - b2 * c1, b2 * c0 - b0 * c2, b0 * c1 - b1 * c0
+        double = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2 + _SOFT)
+        J = 0.5 * double / rest[t]
+        if J >= 1.0:
+            pull = stiffness * (J - 1.0)
+            energy += 0.5 * stiffness * rest[t] * (J - 1.0) ** 2
+        else:
+            pull = stiffness * (J - 1.0) / (J * J * J)
+            energy += 0.5 * stiffness * rest[t] * (1.0 / J - 1.0) ** 2
+        energy += tension * rest[t] * J
+        # dA/dx_k = unit normal x (opposite edge) / 2
+        s = -0.5 * (pull + tension) / double
+        n0, n1, n2 = s * n0, s * n1, s * n2
+        fj0, fj1, fj2 = c1 * n2 - c2 * n1, c2 * n0 - c0 * n2, c0 * n1 - c1 * n0
+        fk0, fk1, fk2 = n1 * b2 - n2 * b1, n2 * b0 - n0 * b2, n0 * b1 - n1 * b0
+        force[j, 0] += fj0
+        force[j, 1] += fj1
+        force[j, 2] += fj2
+        force[k, 0] += fk0
+        force[k, 1] += fk1
+        force[k, 2] += fk2
+        force[i, 0] -= fj0 + fk0
+        force[i, 1] -= fj1 + fk1
+        force[i, 2] -= fj2 + fk2
+    return energy
+
+
+def area_bound(
+    x: np.ndarray, triangles: np.ndarray, rest: np.ndarray, stiffness: float, tension: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Edge weights whose graph Laplacian bounds the tangent of `area_forces`.
+
+    With T = dE/dA and g_k = dA/dx_k: (sum g_k.d_k)^2 <= sum over edges |g_k - g_l|^2 |d_k - d_l|^2/3
+    because the g_k sum to zero; the change of g_k is bounded by T/2 in the plane and by the
+    same inequality for the gradients of the shape functions out of it.
+
+    Returns (pairs (3 n_triangles, 2), weights (3 n_triangles,)), pN/um.
+    """
+    corner = x[triangles]
+    opposite = corner[:, [2, 0, 1]] - corner[:, [1, 2, 0]]
+    area = 0.5 * np.sqrt(
+        (np.cross(opposite[:, 0], opposite[:, 1]) ** 2).sum(axis=1) + _SOFT
+    )
+    J = area / rest
+    low = np.minimum(J, 1.0)
+    pull = stiffness * np.where(J >= 1.0, J - 1.0, (low - 1.0) / low**3) + tension
+    second = stiffness / rest * np.where(J >= 1.0, 1.0, (3.0 - 2.0 * low) / low**4)
+    pairs, weights = [], []
+    for k, m in ((0, 1), (1, 2), (2, 0)):
+        spread = ((opposite[:, k] - opposite[:, m]) ** 2).sum(axis=1)
+        bound = spread / 12.0 * (second + np.maximum(pull, 0.0) / area) + 0.5 * np.abs(pull)
+        pairs.append(triangles[:, [k, m]])
+        weights.append(bound)
+    return np.concatenate(pairs), np.concatenate(weights)
+
+
+def laplacian(n: int, edges: np.ndarray, weight: np.ndarray) -> sp.csc_array:
+    """Graph Laplacian (n, n) with one weight per edge."""
+    i, j = edges.T
+    rows, cols = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
+    return sp.csc_array((np.concatenate([weight, weight, -weight, -weight]), (rows, cols)), (n, n))
+
+
+def diagonal(values: np.ndarray) -> sp.csc_array:
+    """Diagonal matrix in compressed columns."""
+    return sp.csc_array(sp.diags_array(np.asarray(values, float)))
+
+
+def _edge_lengths(x: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    return np.sqrt(((x[edges[:, 1]] - x[edges[:, 0]]) ** 2).sum(axis=1) + _SOFT)
+
+
+@dataclass(frozen=True)
+class MembraneElasticity(Effect):
+    """Elastic membrane: springs along edges and areas of triangles, F = -dE/dx."""
+
+    name: ClassVar[str] = "membrane_elasticity"
+    line: float = parameter(
+        "100 pN/um", "pN/um", least=0.0, source="numerics II.1", about="edge spring k_l"
+    )
+    stiffening: float = parameter(
+        "2", least=0.0, source="cellsys calibration", about="cubic stiffening of the edges"
+    )
+    area: float = parameter(
+        "50 pN/um", "pN/um", least=0.0, source="numerics II.1", about="area modulus k_a"
+    )
+
+    def elements(self, site: Site) -> tuple[Element, ...]:
+        return (_MembraneElement(self, site.cell),)
+
+
+class _MembraneElement(Element):
+    def __init__(self, effect: MembraneElasticity, cell: CellBody) -> None:
+        self.effect, self.mesh = effect, cell.membrane
+        self.name = f"{cell.name}.{effect.name}"
+        self.array = cell.name
+        self.ports = (Port(cell.name, self.name),)
+
+    def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
+        e, m, x = self.effect, self.mesh, s.nodes[self.array]
+        line_forces(x, m.edges, m.edge_length, e.line, e.stiffening, out[0])
+        area_forces(x, m.triangles, m.triangle_area, e.area, 0.0, out[0])
+
+    def energy(self, s: Configuration) -> float:
+        e, m, x = self.effect, self.mesh, s.nodes[self.array]
+        scrap = np.zeros_like(x)
+        return line_forces(
+            x, m.edges, m.edge_length, e.line, e.stiffening, scrap
+        ) + area_forces(x, m.triangles, m.triangle_area, e.area, 0.0, scrap)
+
+    def stiffness(self, s: Configuration) -> tuple[Stiffness, ...]:
+        return (Stiffness(self.array, (0, 1, 2), lambda: self._bound(s), None),)
+
+    def _bound(self, s: Configuration) -> sp.csc_array:
+        e, m, x = self.effect, self.mesh, s.nodes[self.array]
+        length = _edge_lengths(x, m.edges)
+        excess = ((length - m.edge_length) / m.edge_length) ** 2
+        weight = e.line * (1.0 + 3.0 * e.stiffening * excess)
+        lines = laplacian(len(x), m.edges, weight)
+        return lines + laplacian(
+            len(x), *area_bound(x, m.triangles, m.triangle_area, e.area, 0.0)
+        )
+
+
+@dataclass(frozen=True)
+class CorticalTension(Effect):
+    """Constant surface tension of the cortex, E = gamma A."""
+
+    name: ClassVar[str] = "cortical_tension"
+    tension: float = parameter(
+        "150 pN/um", "pN/um", least=0.0, source="numerics II.1", about="surface tension gamma"
+    )
+
+    def elements(self, site: Site) -> tuple[Element, ...]:
+        return (_TensionElement(self, site.cell),)
+
+
+class _TensionElement(Element):
+    def __init__(self, effect: CorticalTension, cell: CellBody) -> None:
+        self.effect, self.mesh = effect, cell.membrane
+        self.name = f"{cell.name}.{effect.name}"
+        self.array = cell.name
+        self.ports = (Port(cell.name, self.name),)
+
+    def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
+        m = self.mesh
+        area_forces(
+            s.nodes[self.array], m.triangles, m.triangle_area, 0.0, self.effect.tension, out[0]
+        )
+
+    def energy(self, s: Configuration) -> float:
+        m, x = self.mesh, s.nodes[self.array]
+        return area_forces(
+            x, m.triangles, m.triangle_area, 0.0, self.effect.tension, np.zeros_like(x)
+        )
+
+    def stiffness(self, s: Configuration) -> tuple[Stiffness, ...]:
+        return (Stiffness(self.array, (0, 1, 2), lambda: self._bound(s), None),)
+
+    def _bound(self, s: Configuration) -> sp.csc_array:
+        m, x = self.mesh, s.nodes[self.array]
+        return laplacian(
+            len(x), *area_bound(x, m.triangles, m.triangle_area, 0.0, self.effect.tension)
+        )
+
+
+@dataclass(frozen=True)
+class Volume(Effect):
+    """Nearly constant volume, E = K_V (V - V0)^2/(2 V0)."""
+
+    name: ClassVar[str] = "volume"
+    modulus: float = parameter(
+        "300 pN/um^2", "pN/um^2", least=0.0, source="numerics II.1", about="K_V"
+    )
+
+    def elements(self, site: Site) -> tuple[Element, ...]:
+        return (_VolumeElement(self, site.cell),)
+
+
+class _VolumeElement(Element):
+    def __init__(self, effect: Volume, cell: CellBody) -> None:
+        self.effect, self.mesh = effect, cell.membrane
+        self.name = f"{cell.name}.{effect.name}"
+        self.array = cell.name
+        self.ports = (Port(cell.name, self.name),)
+
+    def _gradient(self, s: Configuration) -> tuple[float, np.ndarray]:
+        if self.name not in s.cache:
+            x = s.nodes[self.array]
+            gradient = np.empty_like(x)
+            s.cache[self.name] = volume_gradient(x, self.mesh.triangles, gradient), gradient
+        return s.cache[self.name]
+
+    def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
+        volume, gradient = self._gradient(s)
+        pressure = -self.effect.modulus * (volume / self.mesh.volume - 1.0)
+        out[0][:] = pressure * gradient
+
+    def energy(self, s: Configuration) -> float:
+        volume, _ = self._gradient(s)
+        return 0.5 * self.effect.modulus * (volume - self.mesh.volume) ** 2 / self.mesh.volume
+
+    def low_rank(self, s: Configuration) -> tuple[tuple[str, float, np.ndarray], ...]:
+        if self.effect.modulus == 0.0:
+            return ()
+        return ((self.array, self.effect.modulus / self.mesh.volume, self._gradient(s)[1]),)
+
+
+@dataclass(frozen=True)
+class SubstrateContact(Effect):
+    """Soft wall under the cell: F_z = k max(0, gap - z), carried by the rigid support below."""
+
+    name: ClassVar[str] = "substrate_contact"
+    stiffness: float = parameter(
+        "1000 pN/um", "pN/um", least=0.0, source="mechanics 2.7", about="wall stiffness"
+    )
+    gap: float = parameter("0.05 um", "um", least=0.0, source="mechanics 2.7", about="wall height")
+
+    def elements(self, site: Site) -> tuple[Element, ...]:
+        return (_ContactElement(self, site.cell),)
+
+
+class _ContactElement(Element):
+    def __init__(self, effect: SubstrateContact, cell: CellBody) -> None:
+        self.effect = effect
+        self.name = f"{cell.name}.{effect.name}"
+        self.array = cell.name
+        self.ports = (Port(cell.name, self.name),)
+
+    def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
+        depth = self.effect.gap - s.nodes[self.array][:, 2]
+        out[0][:, 2] = self.effect.stiffness * np.maximum(depth, 0.0)
+
+    def energy(self, s: Configuration) -> float:
+        depth = np.maximum(self.effect.gap - s.nodes[self.array][:, 2], 0.0)
+        return 0.5 * self.effect.stiffness * float(depth @ depth)
+
+    def stiffness(self, s: Configuration) -> tuple[Stiffness, ...]:
+        # Nodes within 0.1 um of the wall may touch it before the next look.
+        near = s.nodes[self.array][:, 2] < self.effect.gap + 0.1
+        wall = diagonal(self.effect.stiffness * near)
+        return (Stiffness(self.array, (2,), lambda: wall, None),)

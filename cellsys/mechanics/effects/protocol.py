@@ -1,0 +1,208 @@
+"""The effect protocol: parameters that describe an effect, elements that act.
+
+An *effect* is a frozen dataclass of parameters (unit, bounds, source in the field's metadata).
+Building it gives *elements*: bond-graph elements attached to a junction array (the nodes of a
+cell or of the matrix). An element's port is nodal: eta_e is its force (n_nodes, 3), pN, so its
+block of W_eta is I/C and constant, whatever its inner geometry does. Internal states have their
+rates as further blocks of eta.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from cellsys.errors import ParameterError
+from cellsys.mechanics.geometry.disc import Disc
+from cellsys.mechanics.geometry.membrane import Membrane
+from cellsys.system import Block, Event
+from cellsys.units import quantity
+
+
+def parameter(
+    default: Any,
+    unit: str = "1",
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+    choices: Sequence[str] | None = None,
+    source: str = "",
+    about: str = "",
+) -> Any:
+    """A dataclass field with unit, bounds, source and meaning in its metadata.
+
+    `default` is a quantity string ("500 pN/um") or, for ``choices``, one of them.
+    """
+    value = default if choices is not None else quantity(default, unit, name="default")
+    return field(
+        default=value,
+        metadata={
+            "unit": unit,
+            "above": above,
+            "least": least,
+            "most": most,
+            "choices": tuple(choices) if choices is not None else None,
+            "source": source,
+            "about": about,
+        },
+    )
+
+
+def check_parameters(effect: Any) -> None:
+    """Compare every field with its bounds; ParameterError names the value and the bound."""
+    owner = getattr(effect, "name", type(effect).__name__)
+    for item in dataclasses.fields(effect):
+        meta, value = item.metadata, getattr(effect, item.name)
+        if "unit" not in meta:
+            continue
+        label = f"{owner}.{item.name}"
+        if meta["choices"] is not None:
+            if value not in meta["choices"]:
+                raise ParameterError(
+                    f"{label} must be one of {', '.join(meta['choices'])}, got {value!r}"
+                )
+            continue
+        unit = "" if meta["unit"] == "1" else f" {meta['unit']}"
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.floating)):
+            raise ParameterError(f"{label} must be a number in{unit or ' plain units'}, got {value!r}")
+        if not np.isfinite(value):
+            raise ParameterError(f"{label} must be finite, got {value!r}")
+        for word, bound, wrong in (
+            (">", meta["above"], meta["above"] is not None and not value > meta["above"]),
+            (">=", meta["least"], meta["least"] is not None and value < meta["least"]),
+            ("<=", meta["most"], meta["most"] is not None and value > meta["most"]),
+        ):
+            if wrong:
+                raise ParameterError(f"{label} must be {word} {bound:g}{unit}, got {value!r}")
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Base of all effects: parameters only.
+
+    Class attributes
+    ----------------
+    name : str
+        Key in a scene file.
+    needs : tuple of str
+        Other effects without which this one has no meaning.
+    acts_on : {"cell", "matrix", "scene"}
+        Whether elements are built per cell, once for the matrix, or the effect only sets
+        constants.
+    """
+
+    name: ClassVar[str] = ""
+    needs: ClassVar[tuple[str, ...]] = ()
+    acts_on: ClassVar[str] = "cell"
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+
+    def elements(self, site: Site) -> tuple[Element, ...]:
+        """The bond-graph elements of this effect at one site."""
+        return ()
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where an effect is built: a cell (or None) on a matrix (or None)."""
+
+    cell: CellBody | None
+    matrix: Disc | None
+    commands: Any
+    effects: dict[str, Effect]
+
+
+@dataclass(frozen=True)
+class CellBody:
+    """One cell: its name, membrane and initial polarity (unit vector)."""
+
+    name: str
+    membrane: Membrane
+    polarity: np.ndarray
+
+
+class Port(NamedTuple):
+    """A nodal port: element forces on junction array `array`, stored as eta block `block`."""
+
+    array: str
+    block: str
+
+
+class Stiffness(NamedTuple):
+    """An over-estimate of -dF/dx on one array.
+
+    `matrix()` gives (n, n), acting alike on each coordinate in `axes`, or (3 n, 3 n) when `axes`
+    is empty: coordinates coupled. It is called only when `key` has changed; key None always has.
+    """
+
+    array: str
+    axes: tuple[int, ...]
+    matrix: Callable[[], sp.csc_array]
+    key: Any
+
+
+class Configuration:
+    """Views into one state vector: node arrays, internal states, time."""
+
+    __slots__ = ("cache", "internal", "nodes", "t")
+
+    def __init__(self, t: float, nodes: dict, internal: dict) -> None:
+        self.t, self.nodes, self.internal = t, nodes, internal
+        self.cache: dict[str, Any] = {}
+
+
+class Element:
+    """A bond-graph element with nodal ports; every method but `efforts` is optional."""
+
+    name: str
+    ports: tuple[Port, ...] = ()
+    inputs: tuple[Port, ...] = ()  # forces that enter u instead of eta
+    internal: tuple[Block, ...] = ()
+
+    def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
+        """Write the force of each port (n_nodes, 3), pN, into `out` (already zero)."""
+
+    def force(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
+        """Write the exogenous force of each input port, pN, into `out` (already zero)."""
+
+    def energy(self, s: Configuration) -> float:
+        """Stored energy, pN um, whose negative gradient the efforts are."""
+        raise NotImplementedError(f"{self.name} is not the gradient of an energy")
+
+    def rates(self, s: Configuration, v: dict[str, np.ndarray], out: tuple) -> None:
+        """Rates of the internal states, given node velocities v, um/s."""
+
+    def advance(self, s: Configuration, end: Configuration, dt: float) -> None:
+        """Fill this element's internal states of `end` after dt, given both geometries."""
+
+    def stiffness(self, s: Configuration) -> tuple[Stiffness, ...]:
+        """Over-estimates of the tangent; () for a soft element."""
+        return ()
+
+    def low_rank(self, s: Configuration) -> tuple[tuple[str, float, np.ndarray], ...]:
+        """Stiff directions (array, stiffness pN/um, direction (n, 3))."""
+        return ()
+
+    def between_steps(
+        self, s: Configuration, dt: float, rng: np.random.Generator
+    ) -> tuple[Event, ...]:
+        """Discrete changes of the internal states of `s`, in place."""
+        return ()
+
+    def initial(self, block: Block) -> np.ndarray:
+        """Initial value of an internal state; zeros by default."""
+        return np.zeros(block.shape)
+
+    def forget(self) -> None:
+        """Drop everything kept from earlier looks at the tangent."""
+
+    def stop_points(self) -> tuple[float, ...]:
+        """Times (s) at which the law jumps or has a kink."""
+        return ()

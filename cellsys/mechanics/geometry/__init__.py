@@ -1,0 +1,1 @@
+"""Geometry: closed triangulated membrane, fibre-network disc."""

@@ -1,0 +1,194 @@
+"""Fibre-network disc: nodes, fibres, clamped rim, and its stiffness by a relaxed test."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+from scipy.spatial import cKDTree
+
+from cellsys.errors import ParameterError
+
+DENSITY = 2000.0 / (np.pi * 30.0**2 * 2.0)  # nodes per um^3: 2000 in the thesis's disc
+COORDINATION = 9.0  # fibres per node: central-force networks are rigid above 6
+RIM = 0.947  # nodes beyond this share of the radius are clamped (28.4 of 30 um)
+SURFACE_DEPTH = 0.7  # um: nodes this close to the top plane carry adhesions
+
+
+@dataclass(frozen=True, eq=False)
+class Disc:
+    """A network of fibres filling a flat cylinder, top plane z = 0.
+
+    Parameters
+    ----------
+    radius, thickness : float
+        um.
+    position : array (n, 3)
+        Rest positions of the nodes, um.
+    fibres : int array (n_fibres, 2)
+        Node pairs.
+    length : array (n_fibres,)
+        Rest lengths, um.
+    stiffness : array (n_fibres,)
+        Axial stiffness EA/length of each fibre, pN/um.
+    clamped : bool array (n,)
+        Rim nodes that do not move.
+    surface : int array
+        Nodes that adhesions can reach.
+    """
+
+    radius: float
+    thickness: float
+    position: np.ndarray
+    fibres: np.ndarray
+    length: np.ndarray
+    stiffness: np.ndarray
+    clamped: np.ndarray
+    surface: np.ndarray
+
+
+def disc_nodes(
+    radius: float, thickness: float, n_nodes: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Evenly spread random points in a flat cylinder, -thickness <= z <= 0.
+
+    Dart throwing with a shrinking distance, then 30 sweeps of soft repulsion that even out the
+    spacing (nearest distance about 0.85 of the mean spacing).
+    """
+    spacing = (np.pi * radius**2 * thickness / n_nodes) ** (1.0 / 3.0)
+    angle, r = rng.uniform(0, 2 * np.pi, n_nodes), radius * np.sqrt(rng.uniform(0, 1, n_nodes))
+    x = np.column_stack([r * np.cos(angle), r * np.sin(angle), -thickness * rng.uniform(0, 1, n_nodes)])
+    reach = 0.95 * spacing
+    for sweep in range(60):
+        pairs = cKDTree(x).query_pairs(reach, output_type="ndarray")
+        d = x[pairs[:, 1]] - x[pairs[:, 0]]
+        length = np.maximum(np.linalg.norm(d, axis=1), 1e-9)
+        push = (0.5 * (reach - length) / length)[:, None] * d * (1.0 if sweep < 50 else 0.5)
+        move = np.zeros_like(x)
+        np.add.at(move, pairs[:, 1], push)
+        np.add.at(move, pairs[:, 0], -push)
+        x += np.clip(move, -0.3 * spacing, 0.3 * spacing)
+        x[:, 2] = np.clip(x[:, 2], -thickness, 0.0)
+        far = np.hypot(x[:, 0], x[:, 1])
+        x[:, :2] *= np.minimum(1.0, radius / np.maximum(far, 1e-12))[:, None]
+    return x
+
+
+def connect(x: np.ndarray, coordination: float) -> np.ndarray:
+    """The n z / 2 shortest node pairs, plus the three nearest of every node (no free ends)."""
+    n_fibres = round(0.5 * coordination * len(x))
+    tree = cKDTree(x)
+    spacing = float(np.median(tree.query(x, k=2)[0][:, 1]))
+    reach = 1.2 * spacing
+    while True:
+        pairs = tree.query_pairs(reach, output_type="ndarray")
+        if len(pairs) >= n_fibres:
+            break
+        reach *= 1.1
+    d = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1)
+    pairs = pairs[np.argsort(d, kind="stable")[:n_fibres]]
+    near = tree.query(x, k=4)[1][:, 1:]
+    extra = np.column_stack([np.repeat(np.arange(len(x)), 3), near.ravel()])
+    return np.unique(np.sort(np.concatenate([pairs, extra]), axis=1), axis=0).astype(np.int64)
+
+
+class StiffnessAssembly:
+    """Stiffness matrices (3n, 3n) of one network for many sets of fibre stiffnesses.
+
+    K = sum of k n n^T over fibres, n the rest directions. The pattern is found once; a matrix
+    then costs one sparse product.
+    """
+
+    def __init__(self, x: np.ndarray, fibres: np.ndarray) -> None:
+        d = x[fibres[:, 1]] - x[fibres[:, 0]]
+        n = d / np.linalg.norm(d, axis=1)[:, None]
+        m, self.size = len(fibres), 3 * len(x)
+        dof = np.concatenate([3 * fibres[:, [0]] + np.arange(3), 3 * fibres[:, [1]] + np.arange(3)], 1)
+        g = np.concatenate([-n, n], axis=1)
+        value = (g[:, :, None] * g[:, None, :]).reshape(m, 36)
+        row = np.repeat(dof, 6, axis=1)
+        col = np.tile(dof, (1, 6))
+        key, place = np.unique(col * self.size + row, return_inverse=True)
+        self.indices = (key % self.size).astype(np.int32)
+        columns = key // self.size
+        self.indptr = np.searchsorted(columns, np.arange(self.size + 1)).astype(np.int32)
+        fibre = np.repeat(np.arange(m), 36)
+        self.entries = sp.csr_array((value.ravel(), (place.ravel(), fibre)), (len(key), m))
+
+    def __call__(self, stiffness: np.ndarray) -> sp.csc_array:
+        """K (3n, 3n), pN/um, for fibre stiffnesses (m,), pN/um."""
+        data = self.entries @ stiffness
+        return sp.csc_array((data, self.indices, self.indptr), (self.size, self.size))
+
+
+def relaxed_shear_modulus(
+    x: np.ndarray, fibres: np.ndarray, stiffness: np.ndarray, rim: np.ndarray, volume: float
+) -> float:
+    """Shear modulus G, pN/um^2: affine in-plane shear on the rim, interior relaxed.
+
+    From the energy U = G gamma^2 V / 2 of unit pure shear; free faces. A weak vertical spring
+    (1e-6 of the mean stiffness) removes bending mechanisms that cost no energy.
+    """
+    K = StiffnessAssembly(x, fibres)(stiffness)
+    K = sp.csc_array(K + sp.diags_array(np.full(K.shape[0], 1e-6 * float(stiffness.mean()))))
+    u = np.zeros_like(x)
+    u[:, 0], u[:, 1] = 0.5 * x[:, 1], 0.5 * x[:, 0]
+    free = np.flatnonzero(~np.repeat(rim, 3))
+    held = np.flatnonzero(np.repeat(rim, 3))
+    full = u.ravel().copy()
+    full[free] = -spla.spsolve(K[free][:, free], K[free][:, held] @ full[held])
+    return float(full @ (K @ full)) / volume
+
+
+@lru_cache(maxsize=8)
+def _network(radius: float, thickness: float, n_nodes: int, coordination: float, seed: int):
+    rng = np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=(101,)))
+    x = disc_nodes(radius, thickness, n_nodes, rng)
+    fibres = connect(x, coordination)
+    length = np.linalg.norm(x[fibres[:, 1]] - x[fibres[:, 0]], axis=1)
+    clamped = np.hypot(x[:, 0], x[:, 1]) > RIM * radius
+    volume = np.pi * radius**2 * thickness
+    G = relaxed_shear_modulus(x, fibres, 1.0 / length, clamped, volume)
+    surface = np.flatnonzero((x[:, 2] > -SURFACE_DEPTH) & ~clamped)
+    return x, fibres, length, clamped, surface, G
+
+
+def disc(
+    radius: float,
+    modulus: float,
+    *,
+    thickness: float = 2.0,
+    n_nodes: int | None = None,
+    coordination: float = COORDINATION,
+    seed: int = 0,
+) -> Disc:
+    """Random fibre disc with Young's modulus `modulus` by a relaxed shear test.
+
+    All fibres have the same EA; EA is such that 2.5 G = modulus, G from
+    `relaxed_shear_modulus` (central-force solid: Poisson's ratio 1/4).
+
+    Parameters
+    ----------
+    radius, thickness : float
+        um.
+    modulus : float
+        pN/um^2 (Pa).
+    n_nodes : int, optional
+        Default: the thesis's density, 2000 nodes in 60 um x 2 um.
+    seed : int
+        Of the network; the same seed gives the same network.
+    """
+    for name, value in (("radius", radius), ("modulus", modulus), ("thickness", thickness)):
+        if not (np.isfinite(value) and value > 0):
+            raise ParameterError(f"matrix {name} must be finite and > 0, got {value!r}")
+    count = round(DENSITY * np.pi * radius**2 * thickness) if n_nodes is None else int(n_nodes)
+    if count < 50:
+        raise ParameterError(
+            f"a matrix of {count} nodes is too coarse; use at least 50 (a larger disc or n_nodes)"
+        )
+    x, fibres, length, clamped, surface, G = _network(radius, thickness, count, coordination, seed)
+    EA = modulus / (2.5 * G)
+    return Disc(radius, thickness, x, fibres, length, EA / length, clamped, surface)

@@ -1,0 +1,345 @@
+"""The 2.5-D full-order model: cells on a fibre disc, assembled from the effects of a scene.
+
+    C dx/dt = sum of nodal efforts + exogenous forces          [thesis eq. 60-71, theory.md 1]
+
+Every effect that is present puts elements on junction arrays (nodes of a cell, nodes of the
+matrix); each element's port is a block of eta with the constant block I/C of W_eta. What is
+absent has no block, no state and no cost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+import scipy.sparse as sp
+
+from cellsys.errors import SceneError
+from cellsys.mechanics.commands import Commands
+from cellsys.mechanics.effects.matrix import MATRIX, Drag, FibreElement
+from cellsys.mechanics.effects.protocol import (
+    CellBody,
+    Configuration,
+    Effect,
+    Element,
+    Site,
+    Stiffness,
+)
+from cellsys.mechanics.effects.steering import LamellipodiumElement, PolarityElement
+from cellsys.mechanics.geometry.disc import Disc
+from cellsys.system import Block, Event, Layout, MajorantBlock, OverdampedSystem, RankOne
+
+
+@dataclass(frozen=True)
+class CellSpec:
+    """A cell with its own effects and commands."""
+
+    body: CellBody
+    effects: dict[str, Effect]
+    commands: Commands = field(default_factory=Commands)
+
+
+def build_spreading(
+    cells: tuple[CellSpec, ...], matrix: Disc | None, matrix_effects: dict[str, Effect], drag: Drag
+) -> SpreadingSystem:
+    """Assemble the system; effects are checked against their needs by the caller's scene."""
+    elements: list[Element] = []
+    fibres: FibreElement | None = None
+    if matrix is not None:
+        site = Site(None, matrix, None, matrix_effects)
+        for effect in matrix_effects.values():
+            built = effect.elements(site)
+            fibres = next((e for e in built if isinstance(e, FibreElement)), fibres)
+            elements.extend(built)
+    for cell in cells:
+        site = Site(cell.body, matrix, cell.commands, {**matrix_effects, **cell.effects})
+        for effect in cell.effects.values():
+            elements.extend(effect.elements(site))
+        if {"polarity", "lamellipodium", "stiffness_sensing"} & set(cell.effects):
+            elements.append(
+                PolarityElement(
+                    cell.body,
+                    cell.commands,
+                    cell.effects.get("polarity"),
+                    cell.effects.get("stiffness_sensing"),
+                    fibres,
+                )
+            )
+    return SpreadingSystem(cells, matrix, tuple(elements), drag)
+
+
+class SpreadingSystem(OverdampedSystem):
+    """Cells and matrix as one overdamped system; see the module's text.
+
+    States: ``cellK.position`` (n, 3) um, ``matrix.displacement`` (N, 3) um from rest, then
+    internal states. Auxiliaries: one nodal force block per port, pN, then the rates of the
+    internal states. Linear laws (foundation) stay in eta too: the log holds interval averages,
+    and the average of a linear law is no function of x_k.
+    """
+
+    def __init__(
+        self,
+        cells: tuple[CellSpec, ...],
+        matrix: Disc | None,
+        elements: tuple[Element, ...],
+        drag: Drag,
+    ) -> None:
+        blocks = [
+            Block(f"{c.body.name}.position", c.body.membrane.position.shape, "um") for c in cells
+        ]
+        start = [c.body.membrane.position.ravel() for c in cells]
+        arrays = {c.body.name: f"{c.body.name}.position" for c in cells}
+        if matrix is not None:
+            arrays[MATRIX] = "matrix.displacement"
+            blocks.append(Block(arrays[MATRIX], matrix.position.shape, "um", "field"))
+            start.append(np.zeros(matrix.position.size))
+        if not blocks:
+            raise SceneError("a scene needs at least one cell or a matrix")
+        for element in elements:
+            for block in element.internal:
+                blocks.append(block)
+                start.append(np.asarray(element.initial(block), float).ravel())
+        states = Layout(blocks)
+
+        c = np.zeros(states.size)
+        for cell in cells:
+            c[states.slice(arrays[cell.body.name])] = drag.cell + drag.cortex
+        if matrix is not None:
+            held = np.where(matrix.clamped, np.inf, drag.matrix)
+            c[states.slice(arrays[MATRIX])] = np.repeat(held, 3)
+
+        ports = [p for e in elements for p in e.ports]
+        inside = [b for e in elements for b in e.internal]
+        auxiliaries = Layout(
+            [
+                Block(
+                    p.block,
+                    states[arrays[p.array]].shape,
+                    "pN",
+                    states[arrays[p.array]].role,
+                    "rate",
+                )
+                for p in ports
+            ]
+            + [Block(f"{b.name}.rate", b.shape, f"{b.unit}/s", b.role, "internal") for b in inside]
+        )
+        columns = [(states.slice(arrays[p.array]), auxiliaries.slice(p.block)) for p in ports]
+        columns += [(states.slice(b.name), auxiliaries.slice(f"{b.name}.rate")) for b in inside]
+        mobility = np.where(c > 0, 1.0 / np.where(c > 0, c, 1.0), 1.0)  # 0 where clamped
+        rows = np.concatenate([np.arange(a.start, a.stop) for a, _ in columns] or [np.zeros(0, int)])
+        cols = np.concatenate([np.arange(b.start, b.stop) for _, b in columns] or [np.zeros(0, int)])
+        keep = mobility[rows] > 0
+        W_eta = sp.csr_array(
+            (mobility[rows][keep], (rows[keep], cols[keep])), (states.size, auxiliaries.size)
+        )
+        inputs = Layout(
+            [
+                block
+                for e in elements
+                if isinstance(e, LamellipodiumElement)
+                for block in (
+                    Block(f"{e.array}.heading", (3,), "1", "controller", "internal"),
+                    Block(f"{e.array}.amplitude", (), "1", "controller", "internal"),
+                )
+            ]
+        )
+        super().__init__(
+            states=states,
+            x0=np.concatenate(start),
+            auxiliaries=auxiliaries,
+            inputs=inputs,
+            W_eta=W_eta,
+        )
+        for name, value in (
+            ("cells", cells),
+            ("matrix", matrix),
+            ("elements", elements),
+            ("_arrays", arrays),
+            ("_drag", c),
+            ("_mobility", mobility),
+            ("_internal", tuple(inside)),
+            ("_last", None),
+        ):
+            object.__setattr__(self, name, value)
+        index = {}
+        for array, block in arrays.items():
+            piece = states.slice(block)
+            index[array] = np.arange(piece.start, piece.stop).reshape(-1, 3)
+        object.__setattr__(self, "_index", index)
+
+    # Views
+
+    def configuration(self, t: float, x: np.ndarray) -> Configuration:
+        """Named views into x; the views of the last state asked for are kept."""
+        last = self._last
+        if last is not None and last[0] is x and last[1].t == t:
+            return last[1]
+        nodes = {a: self.states.view(x, b) for a, b in self._arrays.items()}
+        internal = {b.name: self.states.view(x, b.name) for b in self._internal}
+        return Configuration(t, nodes, internal)
+
+    def energy(self, t: float, x: np.ndarray) -> dict[str, float]:
+        """Stored energy of every element that has one, pN um."""
+        s = self.configuration(t, x)
+        out = {}
+        for element in self.elements:
+            if type(element).energy is not Element.energy:
+                out[element.name] = float(element.energy(s))
+        return out
+
+    # OdeSystem
+
+    def efforts(self, t: float, x: np.ndarray) -> np.ndarray:
+        return self._efforts(self.configuration(t, x))
+
+    def _efforts(self, s: Configuration) -> np.ndarray:
+        eta = np.zeros(self.auxiliaries.size)
+        for element in self.elements:
+            if element.ports:
+                element.efforts(
+                    s, tuple(self.auxiliaries.view(eta, p.block) for p in element.ports)
+                )
+        return eta
+
+    def eta(self, t: float, x: np.ndarray) -> np.ndarray:
+        s = self.configuration(t, x)
+        eta = self._efforts(s)
+        v = self.W_eta @ eta + self._u(s)
+        velocity = {a: self.states.view(v, b) for a, b in self._arrays.items()}
+        for element in self.elements:
+            if element.internal:
+                out = tuple(self.auxiliaries.view(eta, f"{b.name}.rate") for b in element.internal)
+                element.rates(s, velocity, out)
+        return eta
+
+    def u(self, t: float, x: np.ndarray) -> np.ndarray:
+        return self._u(self.configuration(t, x))
+
+    def _u(self, s: Configuration) -> np.ndarray:
+        u = np.zeros(self.states.size)
+        for element in self.elements:
+            for port in element.inputs:
+                out = np.zeros_like(s.nodes[port.array])
+                element.force(s, (out,))
+                piece = self.states.slice(self._arrays[port.array])
+                u[piece] += self._mobility[piece] * out.ravel()
+        return u
+
+    def stop_points(self) -> tuple[float, ...]:
+        return tuple(sorted({t for e in self.elements for t in e.stop_points()}))
+
+    def observe(self, t: float, x: np.ndarray) -> dict[str, np.ndarray]:
+        s = self.configuration(t, x)
+        steering = [e for e in self.elements if isinstance(e, PolarityElement)]
+        out = {}
+        if steering:
+            out["p"] = np.array([s.internal[e.name] for e in steering])
+            out["d"] = np.array([e.sensed(s) for e in steering])
+        pushing = [e for e in self.elements if isinstance(e, LamellipodiumElement)]
+        if pushing:
+            out["amplitude"] = np.array([e.amplitude(t) for e in pushing])
+        return out
+
+    # OverdampedSystem
+
+    def drag(self) -> np.ndarray:
+        return self._drag
+
+    def internal_blocks(self) -> tuple[tuple[slice, slice], ...]:
+        return tuple(
+            (self.states.slice(b.name), self.auxiliaries.slice(f"{b.name}.rate"))
+            for b in self._internal
+        )
+
+    def forget(self) -> None:
+        for element in self.elements:
+            element.forget()
+
+    def advance_internal(self, t: float, x: np.ndarray, x_new: np.ndarray, dt: float) -> None:
+        s = self.configuration(t, x)
+        object.__setattr__(self, "_last", (x, s))
+        end = self.configuration(t + dt, x_new)
+        for element in self.elements:
+            if element.internal:
+                element.advance(s, end, dt)
+
+    def majorant(self, t: float, x: np.ndarray, dt: float) -> tuple[MajorantBlock, ...]:
+        s = self.configuration(t, x)
+        parts: dict[str, list] = {array: [] for array in self._index}
+        for element in self.elements:
+            for item in element.stiffness(s):
+                parts[item.array].append(item)
+        return tuple(
+            block
+            for array, items in parts.items()
+            for block in combine(array, self._index[array], items, t)
+        )
+
+    def low_rank(self, t: float, x: np.ndarray) -> tuple[RankOne, ...]:
+        s = self.configuration(t, x)
+        return tuple(
+            RankOne(self._index[array].ravel(), k, g.ravel())
+            for element in self.elements
+            for array, k, g in element.low_rank(s)
+        )
+
+    def between_steps(
+        self, t: float, x: np.ndarray, dt: float, rng: np.random.Generator
+    ) -> tuple[np.ndarray, tuple[Event, ...]]:
+        switching = [
+            e for e in self.elements if type(e).between_steps is not Element.between_steps
+        ]
+        if not switching:
+            return x, ()
+        x = x.copy()
+        s = self.configuration(t, x)
+        events: list[Event] = []
+        for element in switching:
+            events.extend(element.between_steps(s, dt, rng))
+        return x, tuple(events)
+
+
+def combine(
+    array: str, index: np.ndarray, items: list[Stiffness], t: float
+) -> list[MajorantBlock]:
+    """Sum the stiffnesses of one array into as few blocks as they allow.
+
+    Coupled parts make one block of all coordinates; otherwise coordinates with the same parts
+    share a block and its factorisation.
+    """
+    n = len(index)
+    if any(not item.axes for item in items):
+        groups = {tuple(range(len(items))): ()}
+    else:
+        groups = {}
+        for axis in range(3):
+            members = tuple(i for i, item in enumerate(items) if axis in item.axes)
+            groups[members] = (*groups.get(members, ()), axis)
+    blocks = []
+    for members, axes in groups.items():
+        chosen = [items[i] for i in members]
+        keys = tuple(item.key for item in chosen)
+        # A part without a key may differ at every look.
+        key = (t, keys) if any(k is None for k in keys) else keys
+        blocks.append(
+            MajorantBlock(
+                f"{array}.{''.join('xyz'[a] for a in axes) or 'xyz coupled'}",
+                index[:, axes] if axes else index.reshape(-1, 1),
+                partial(_sum, n, chosen, bool(axes)),
+                key,
+            )
+        )
+    return blocks
+
+
+def _sum(n: int, items: list[Stiffness], separate: bool) -> sp.csc_array:
+    total = sp.csc_array((n, n) if separate else (3 * n, 3 * n))
+    for item in items:
+        matrix = item.matrix()
+        if not separate and item.axes:
+            on = np.zeros(3)
+            on[list(item.axes)] = 1.0
+            matrix = sp.kron(matrix, sp.diags_array(on), format="csc")
+        total = total + matrix
+    return sp.csc_array(total)

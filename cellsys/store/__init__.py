@@ -1,0 +1,17 @@
+"""Files: atomic writes, npz with a schema, chunked runs larger than memory, hashes, run cache."""
+
+from cellsys.store.archive import load_archive, save_archive
+from cellsys.store.atomic import atomic_path, write_json, write_text
+from cellsys.store.hashing import fingerprint
+from cellsys.store.runs import RunReader, RunWriter
+
+__all__ = [
+    "RunReader",
+    "RunWriter",
+    "atomic_path",
+    "fingerprint",
+    "load_archive",
+    "save_archive",
+    "write_json",
+    "write_text",
+]

@@ -1,0 +1,148 @@
+"""Runs on disk: one folder of memory-mapped ``.npy`` arrays and a JSON header.
+
+A run is written into ``NAME.partial`` row by row and renamed to ``NAME`` when it is complete,
+so a folder called NAME always holds a whole run. Checkpoints inside the partial folder let an
+interrupted run go on.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import BudgetError, FileFormatError
+from cellsys.store.archive import load_archive, save_archive
+from cellsys.store.atomic import write_json
+
+_SCHEMA = 1
+
+
+def _flush(array: np.ndarray) -> None:
+    if isinstance(array, np.memmap):
+        array.flush()
+
+
+class RunWriter:
+    """Arrays of a run, filled row by row.
+
+    Parameters
+    ----------
+    folder : path
+        Final folder of the run.
+    shapes : mapping of str to tuple
+        Shape of every float64 array, samples first.
+    header : mapping
+        JSON metadata stored with the run; a partial run with another header is discarded.
+    """
+
+    def __init__(
+        self, folder: str | Path, shapes: Mapping[str, tuple[int, ...]], header: Mapping[str, Any]
+    ) -> None:
+        self.folder = Path(folder)
+        self.partial = self.folder.with_name(self.folder.name + ".partial")
+        self.header = json.loads(json.dumps(dict(header), allow_nan=False))
+        self.shapes = {k: tuple(int(i) for i in v) for k, v in shapes.items()}
+        self.resumed = self._open_existing()
+        if not self.resumed:
+            self._create()
+
+    def _describe(self) -> dict[str, Any]:
+        return {
+            "schema": _SCHEMA,
+            "header": self.header,
+            "shapes": {k: list(v) for k, v in self.shapes.items()},
+        }
+
+    def _open_existing(self) -> bool:
+        try:
+            description = json.loads((self.partial / "header.json").read_text("utf-8"))
+            if description != self._describe():
+                return False
+            self.arrays = {
+                name: np.load(self.partial / f"{name}.npy", mmap_mode="r+", allow_pickle=False)
+                for name in self.shapes
+            }
+        except (OSError, ValueError, EOFError):
+            return False
+        return all(self.arrays[k].shape == s for k, s in self.shapes.items())
+
+    def _create(self) -> None:
+        if self.partial.exists():
+            shutil.rmtree(self.partial)
+        self.partial.parent.mkdir(parents=True, exist_ok=True)
+        need = 8 * sum(int(np.prod(s)) for s in self.shapes.values())
+        free = shutil.disk_usage(self.partial.parent).free
+        if need > free:
+            raise BudgetError(
+                f"this run needs {need / 1e9:.1f} GB on disk and {free / 1e9:.1f} GB are free; "
+                "sample less often or shorten the run"
+            )
+        self.partial.mkdir()
+        self.arrays = {
+            name: np.lib.format.open_memmap(
+                self.partial / f"{name}.npy", mode="w+", dtype=np.float64, shape=shape
+            )
+            for name, shape in self.shapes.items()
+        }
+        write_json(self.partial / "header.json", self._describe())
+
+    def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
+        """Make all rows written so far durable and remember how to go on from here."""
+        for array in self.arrays.values():
+            _flush(array)
+        save_archive(self.partial / "checkpoint.npz", "checkpoint", 1, arrays, metadata)
+
+    def last_checkpoint(self) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
+        """What `checkpoint` stored last, or None; a broken checkpoint counts as none."""
+        try:
+            return load_archive(self.partial / "checkpoint.npz", "checkpoint", 1)
+        except (FileNotFoundError, FileFormatError):
+            return None
+
+    def finish(self, metadata: Mapping[str, Any]) -> Path:
+        """Close the arrays and give the folder its final name."""
+        for array in self.arrays.values():
+            _flush(array)
+        self.arrays = {}
+        (self.partial / "checkpoint.npz").unlink(missing_ok=True)
+        write_json(self.partial / "run.json", {**self._describe(), "metadata": dict(metadata)})
+        if self.folder.exists():
+            shutil.rmtree(self.folder)
+        os.replace(self.partial, self.folder)
+        return self.folder
+
+
+class RunReader:
+    """A complete run on disk; arrays are memory-mapped and read-only."""
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        try:
+            description = json.loads((self.folder / "run.json").read_text("utf-8"))
+            if description["schema"] != _SCHEMA:
+                raise FileFormatError(
+                    f"run {self.folder.name!r} has schema {description['schema']!r}, "
+                    f"this cellsys reads {_SCHEMA}; run the scene again"
+                )
+            self.header: dict[str, Any] = description["header"]
+            self.metadata: dict[str, Any] = description["metadata"]
+            shapes = {k: tuple(v) for k, v in description["shapes"].items()}
+            self.arrays = {
+                name: np.load(self.folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
+                for name in shapes
+            }
+        except FileFormatError:
+            raise
+        except (OSError, ValueError, EOFError, KeyError, TypeError) as error:
+            raise FileFormatError(
+                f"{str(self.folder)!r} is not a complete cellsys run: {error}"
+            ) from error
+        for name, shape in shapes.items():
+            if self.arrays[name].shape != shape:
+                raise FileFormatError(f"array {name!r} of run {self.folder.name!r} is damaged")
