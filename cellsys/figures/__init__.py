@@ -9,7 +9,18 @@ __getattr__, __dir__, __all__ = _lazy.attach(
     __name__,
     submod_attrs={
         "response": [
-            "bode", "nyquist", "pole_zero_map", "pseudospectra", "singular_values", "stability",
+            "bode",
+            "error_system",
+            "hankel",
+            "nyquist",
+            "participation",
+            "pole_zero_map",
+            "pseudospectra",
+            "root_locus",
+            "sensitivity",
+            "singular_values",
+            "stability",
+            "time_response",
         ],
     },
 )

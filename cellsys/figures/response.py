@@ -12,22 +12,33 @@ def _axes(ax: Any) -> Any:
     return plt.subplots()[1] if ax is None else ax
 
 
-def _names(response: Any) -> list[tuple[int, int, str]]:
+def _circle(ax: Any, style: str = "-") -> None:
+    turn = np.linspace(0, 2 * np.pi, 200)
+    ax.plot(np.cos(turn), np.sin(turn), style, color="0.6", lw=1)
+
+
+def _finish(ax: Any, x: str, y: str) -> Any:
+    ax.set_xlabel(x)
+    ax.set_ylabel(y)
+    ax.grid(True, which="both", alpha=0.3)
+    return ax
+
+
+def _channels(response: Any) -> list[tuple[np.ndarray, str]]:
     p, m = response.response.shape[:2]
-    one = p * m == 1
     return [
-        (i, j, "" if one else f"{response.inputs[j]} to {response.outputs[i]}")
-        for i in range(p)
-        for j in range(m)
+        (response.response[i, j], f"{response.inputs[j]} to {response.outputs[i]}" * (p * m > 1))
+        for i, j in np.ndindex(p, m)
     ]
 
 
-def bode(response: Any, ax: Any = None) -> Any:
-    """Magnitude (dB) and phase (deg) of a `FrequencyResponse`.
+def bode(result: Any, ax: Any = None) -> Any:
+    """Magnitude (dB) and phase (deg) of a `FrequencyResponse`, or of `Margins` with its crossings.
 
     Parameters
     ----------
-    response : FrequencyResponse
+    result : FrequencyResponse or Margins
+        Of margins: the loci of L, with dots where |L| = 1 (phase) and where L < 0 (magnitude).
     ax : pair of matplotlib Axes, or one Axes, optional
         Two: magnitude and phase. One: magnitude only. None: a new figure with both.
 
@@ -39,26 +50,31 @@ def bode(response: Any, ax: Any = None) -> Any:
     if ax is None:
         _, ax = plt.subplots(2, 1, sharex=True, layout="constrained")
     upper, lower = (ax, None) if single else ax
-    for i, j, label in _names(response):
-        size = response.magnitude[i, j]
-        shown = size > 0
-        decibel = 20 * np.log10(size[shown])
-        upper.semilogx(response.omega[shown], decibel, label=label or None)
-        if lower is not None:
-            phase = np.rad2deg(response.phase[i, j][shown])
-            if phase.size:
-                phase = phase - 360 * np.round((phase[0] + 90) / 360)  # start in (-270, 90]
-            lower.semilogx(response.omega[shown], phase)
-    upper.set_ylabel("|G| (dB)")
-    upper.grid(True, which="both", alpha=0.3)
-    if any(label for _, _, label in _names(response)) and response.omega.size:
+    margins = hasattr(result, "loci")
+    omega = result.loci.omega if margins else result.omega
+    lines = [(v, "") for v in result.loci.values] if margins else _channels(result)
+    for value, label in lines:
+        shown = np.abs(value) > 0
+        w, value = omega[shown], value[shown]
+        upper.semilogx(w, 20 * np.log10(np.abs(value)), label=label or None)
+        if lower is not None and len(w):
+            phase = np.rad2deg(np.unwrap(np.angle(value)))
+            phase -= 360 * np.round((phase[0] + 90) / 360)  # start in (-270, 90]
+            lower.semilogx(w, phase)
+            for at, _ in result.gain_crossings if margins and len(lines) == 1 else ():
+                lower.plot(at, np.interp(np.log(at), np.log(w), phase), "o", color="C3", ms=5)
+    if margins:
+        for at, factor in result.phase_crossings:
+            if omega[0] <= at <= omega[-1]:
+                upper.plot(at, -20 * np.log10(factor), "o", color="C3", ms=5)
+        text = f"gain margin {result.gain_margin:.4g}, phase margin {result.phase_margin:.4g} deg"
+        upper.set_title(text, fontsize="medium")
+    if any(label for _, label in lines):
         upper.legend(fontsize="small")
-    bottom = upper if lower is None else lower
-    bottom.set_xlabel("frequency (rad/s)")
+    _finish(upper, "frequency (rad/s)" if lower is None else "", "|G| (dB)")
     if lower is not None:
-        lower.set_ylabel("phase (deg)")
         lower.yaxis.set_major_locator(plt.MultipleLocator(_phase_step(lower)))
-        lower.grid(True, which="both", alpha=0.3)
+        _finish(lower, "frequency (rad/s)", "phase (deg)")
     return upper if single else (upper, lower)
 
 
@@ -97,21 +113,15 @@ def nyquist(result: Any, ax: Any = None) -> Any:
                 xytext=(shown.real[at - 1], shown.imag[at - 1]),
                 arrowprops={"arrowstyle": "->", "color": line.get_color()},
             )
-    turn = np.linspace(0, 2 * np.pi, 200)
-    ax.plot(np.cos(turn), np.sin(turn), ":", color="0.6", lw=1)
+    _circle(ax, ":")
     ax.plot(-1, 0, "+", color="C3", ms=12, mew=2)
     if margins:
-        ax.set_title(
-            f"gain margin {result.gain_margin:.4g}, phase margin {result.phase_margin:.4g} deg",
-            fontsize="medium",
-        )
+        text = f"gain margin {result.gain_margin:.4g}, phase margin {result.phase_margin:.4g} deg"
+        ax.set_title(text, fontsize="medium")
     if len(values) > 1:
         ax.legend(fontsize="small")
     ax.set_aspect("equal", adjustable="datalim")
-    ax.set_xlabel("Re L")
-    ax.set_ylabel("Im L")
-    ax.grid(True, alpha=0.3)
-    return ax
+    return _finish(ax, "Re L", "Im L")
 
 
 def _pull_in(value: np.ndarray, radius: float = 4.0) -> np.ndarray:
@@ -122,7 +132,7 @@ def _pull_in(value: np.ndarray, radius: float = 4.0) -> np.ndarray:
 
 
 def pole_zero_map(result: Any, ax: Any = None) -> Any:
-    """Poles as crosses or zeros as circles, coloured by condition number when it exceeds 100.
+    """Poles as crosses or zeros as circles, with the sizes of tight clusters.
 
     Parameters
     ----------
@@ -145,23 +155,19 @@ def pole_zero_map(result: Any, ax: Any = None) -> Any:
         ax.plot(z.real, z.imag, "x", color="C3", ms=7, mew=1.5, label="poles")
     for label in np.unique(roots.cluster[size > 1]):
         members = z[roots.cluster == label]
-        if np.ptp(np.abs(members - members[0])) < 0.02 * max(np.abs(z).max(), 1e-300):
-            where = members.mean()
-            ax.annotate(f"{len(members)}", (where.real, where.imag), xytext=(5, 4),
-                        textcoords="offset points", fontsize="small")
+        if np.ptp(np.abs(members - members[0])) < 0.02 * np.abs(z).max():
+            at = (members.mean().real, members.mean().imag)
+            style = {"textcoords": "offset points", "fontsize": "small"}
+            ax.annotate(f"{len(members)}", at, xytext=(5, 4), **style)
     if roots.dt > 0:
-        turn = np.linspace(0, 2 * np.pi, 200)
-        ax.plot(np.cos(turn), np.sin(turn), "-", color="0.6", lw=1)
+        _circle(ax)
         ax.set_aspect("equal", adjustable="datalim")
-        ax.set_xlabel("Re z")
-        ax.set_ylabel("Im z")
     else:
         ax.axvline(0, color="0.6", lw=1)
-        ax.set_xlabel("real part (1/s)")
-        ax.set_ylabel("imaginary part (rad/s)")
     ax.axhline(0, color="0.8", lw=0.8, zorder=0)
-    ax.grid(True, alpha=0.3)
-    return ax
+    if roots.dt > 0:
+        return _finish(ax, "Re z", "Im z")
+    return _finish(ax, "real part (1/s)", "imaginary part (rad/s)")
 
 
 def singular_values(response: Any, ax: Any = None) -> Any:
@@ -180,10 +186,7 @@ def singular_values(response: Any, ax: Any = None) -> Any:
     for value in response.singular_values:
         shown = value > 0
         ax.semilogx(response.omega[shown], 20 * np.log10(value[shown]))
-    ax.set_xlabel("frequency (rad/s)")
-    ax.set_ylabel("singular values (dB)")
-    ax.grid(True, which="both", alpha=0.3)
-    return ax
+    return _finish(ax, "frequency (rad/s)", "singular values (dB)")
 
 
 def pseudospectra(result: Any, ax: Any = None) -> Any:
@@ -200,15 +203,15 @@ def pseudospectra(result: Any, ax: Any = None) -> Any:
     """
     ax = _axes(ax)
     level = np.log10(np.maximum(result.sigma, 1e-300))
-    low, high = max(np.floor(level.min()), -20.0), np.ceil(level.max())
+    low = np.floor(max(level.min(), level.max() - 17))  # below that is rounding
+    high = np.ceil(level.max())
     lines = np.linspace(low, high, 13) if high - low < 4 else np.arange(low, high + 1)
     drawn = ax.contour(result.x, result.y, level, levels=lines, cmap="viridis", linewidths=1)
     ax.figure.colorbar(drawn, ax=ax, label="log10 of the perturbation size")
     z = np.asarray(result.poles)
     ax.plot(z.real, z.imag, "x", color="C3", ms=6, mew=1.5)
     if result.dt > 0:
-        turn = np.linspace(0, 2 * np.pi, 200)
-        ax.plot(np.cos(turn), np.sin(turn), "-", color="0.4", lw=1)
+        _circle(ax)
     else:
         ax.axvline(0, color="0.4", lw=1)
     ax.set_xlim(result.x[0], result.x[-1])
@@ -231,6 +234,161 @@ def stability(report: Any, ax: Any = None) -> Any:
     Axes
     """
     ax = pseudospectra(report.pseudospectra, ax=ax) if len(report.A) else _axes(ax)
-    ax.set_title(f"{report.verdict}; distance to instability {report.distance:.3g}",
-                 fontsize="medium")
+    text = f"{report.verdict}; distance to instability {report.distance:.3g}"
+    ax.set_title(text, fontsize="medium")
+    return ax
+
+
+def root_locus(result: Any, ax: Any = None) -> Any:
+    """Branches of a `RootLocus`: crosses at the first value, circles at the open-loop zeros.
+
+    Parameters
+    ----------
+    result : RootLocus
+    ax : matplotlib Axes, optional
+
+    Returns
+    -------
+    Axes
+    """
+    ax = _axes(ax)
+    start, ends = result.poles[0], result.zeros
+    for branch in result.poles.T:
+        ax.plot(branch.real, branch.imag, lw=1.2)
+    ax.plot(start.real, start.imag, "x", color="C3", ms=7, mew=1.5)
+    ax.plot(ends.real, ends.imag, "o", mfc="none", mec="C0", ms=7)
+    if result.dt > 0:
+        _circle(ax)
+        ax.set_aspect("equal", adjustable="datalim")
+    else:
+        ax.axvline(0, color="0.6", lw=1)
+    # Branches that run off may not decide the frame.
+    near = np.concatenate([start, ends])
+    reach = 3 * max(float(np.abs(near).max(initial=0.0)), 1e-12)
+    ax.set_xlim(max(ax.get_xlim()[0], -reach), min(ax.get_xlim()[1], reach))
+    ax.set_ylim(max(ax.get_ylim()[0], -reach), min(ax.get_ylim()[1], reach))
+    if len(result.crossings):
+        at = ", ".join(f"{c:.4g}" for c in result.crossings[:4])
+        ax.set_title(f"crosses at {at}", fontsize="medium")
+    return _finish(ax, "Re", "Im")
+
+
+def time_response(result: Any, ax: Any = None) -> Any:
+    """Outputs of a `TimeResponse` over time; stairs in discrete time.
+
+    Parameters
+    ----------
+    result : TimeResponse
+    ax : matplotlib Axes, optional
+
+    Returns
+    -------
+    Axes
+    """
+    ax = _axes(ax)
+    y = result.y if result.y.ndim == 3 else result.y[:, :, None]
+    style = {"drawstyle": "steps-post"} if result.dt > 0 else {}
+    for i, name in enumerate(result.outputs):
+        for j in range(y.shape[2]):
+            label = name if y.shape[2] == 1 else f"{result.inputs[j]} to {name}"
+            ax.plot(result.t, y[:, i, j], label=label, **style)
+    if y.shape[1] * y.shape[2] > 1:
+        ax.legend(fontsize="small")
+    return _finish(ax, "time (s)", f"{result.kind} response")
+
+
+def sensitivity(result: Any, ax: Any = None) -> Any:
+    """Largest singular values of S and T (dB) over frequency, peaks marked.
+
+    Parameters
+    ----------
+    result : Sensitivity
+    ax : matplotlib Axes, optional
+
+    Returns
+    -------
+    Axes
+    """
+    ax = _axes(ax)
+    for name in "ST":
+        response, peak = getattr(result, f"response_{name}"), getattr(result, f"peak_{name}")
+        value = response.singular_values[0]
+        shown = value > 0
+        label = f"{name}, peak {peak.value:.3g}"
+        (line,) = ax.semilogx(response.omega[shown], 20 * np.log10(value[shown]), label=label)
+        inside = response.omega[0] <= peak.frequency <= response.omega[-1]
+        if np.isfinite(peak.value) and inside:
+            ax.plot(peak.frequency, 20 * np.log10(peak.value), "o", color=line.get_color(), ms=5)
+    ax.axhline(0, color="0.6", lw=0.8)
+    ax.legend(fontsize="small")
+    return _finish(ax, "frequency (rad/s)", "largest singular value (dB)")
+
+
+def error_system(result: Any, ax: Any = None) -> Any:
+    """Singular values (dB) of an `ErrorSystem` over frequency.
+
+    Parameters
+    ----------
+    result : ErrorSystem
+    ax : matplotlib Axes, optional
+
+    Returns
+    -------
+    Axes
+    """
+    ax = singular_values(result.response, ax=ax)
+    ax.set_ylabel("error (dB)")
+    size = f"largest {result.hinf.value:.3g}, relative {result.relative_hinf:.2g}"
+    ax.set_title(size, fontsize="medium")
+    return ax
+
+
+def hankel(result: Any, ax: Any = None) -> Any:
+    """Hankel singular values of a `BalancedTruncation`, or the eigenvalues of a `Gramian`.
+
+    Parameters
+    ----------
+    result : BalancedTruncation or Gramian
+    ax : matplotlib Axes, optional
+
+    Returns
+    -------
+    Axes
+    """
+    ax = _axes(ax)
+    if hasattr(result, "factor"):
+        value, kept = np.linalg.svd(result.factor, compute_uv=False) ** 2, np.inf
+        label = f"eigenvalue of the {result.kind} Gramian"
+    else:
+        value, kept, label = result.hankel, result.order, "Hankel singular value"
+        ax.set_title(f"filled: kept; error at most {result.error_bound:.3g}", fontsize="medium")
+    number = np.arange(1, len(value) + 1)
+    for shown, fill in ((number <= kept, "C0"), (number > kept, "none")):
+        shown = shown & (value > 0)
+        ax.semilogy(number[shown], value[shown], "o", mfc=fill, mec="C0", ms=5)
+    return _finish(ax, "number", label)
+
+
+def participation(result: Any, ax: Any = None) -> Any:
+    """Shares of the states in the modes as an image; at most 40 modes and 40 states.
+
+    Parameters
+    ----------
+    result : Participation
+    ax : matplotlib Axes, optional
+
+    Returns
+    -------
+    Axes
+    """
+    ax = _axes(ax)
+    modes = min(len(result.poles), 40)
+    share = result.states[:, :modes]
+    rows = np.sort(np.argsort(-share.max(axis=1, initial=0.0))[:40])
+    image = ax.imshow(share[rows], aspect="auto", cmap="Blues", vmin=0)
+    ax.figure.colorbar(image, ax=ax, label="participation")
+    ax.set_yticks(range(len(rows)), [result.state_names[i] for i in rows], fontsize="x-small")
+    ax.set_xticks(range(modes), [f"{complex(z):.3g}" for z in result.poles[:modes]], rotation=90,
+                  fontsize="x-small")
+    ax.set_xlabel("mode (pole)")
     return ax

@@ -57,7 +57,7 @@ def pseudospectra(
     ----------
     sys : control.StateSpace or what `poles` takes
     x, y : array, optional
-        Real and imaginary parts; default: half as wide again as the poles.
+        Real and imaginary parts; default: a box around the field of values.
     points : int
         Points per side of the default grid, >= 2.
 
@@ -80,12 +80,9 @@ def pseudospectra(
         raise ParameterError(f"points must be at least 2, got {points!r}")
     system = realization(sys).dense()
     found = poles(system)
-    size = max(float(np.abs(np.asarray(found)).max(initial=0.0)), 1e-12)
-    half = 0.75 * max(np.ptp(found.real) if len(found) else 0, np.ptp(found.imag)
-                      if len(found) else 0, 0.5 * size)
-    middle = 0.5 * (found.real.max() + found.real.min()) if len(found) else 0.0
-    x = np.linspace(middle - half, middle + half, points) if x is None else _axis(x, "x")
-    y = np.linspace(-half, half, points) if y is None else _axis(y, "y")
+    left, right, high = _window(system.A)
+    x = np.linspace(left, right, points) if x is None else _axis(x, "x")
+    y = np.linspace(-high, high, points) if y is None else _axis(y, "y")
     T = schur_matrix(system.A)
     sigma = np.empty((len(y), len(x)))
     if np.array_equal(y, -y[::-1]):  # real A: the lower half mirrors the upper one
@@ -95,6 +92,16 @@ def pseudospectra(
     else:
         sigma[:] = _sigma(T, x, y)
     return Pseudospectra(x, y, sigma, found, system.dt)
+
+
+def _window(A: np.ndarray) -> tuple[float, float, float]:
+    """Least and largest Re, largest Im of the box around the field of values, a fifth wider."""
+    if not len(A):
+        return -1.0, 1.0, 1.0
+    real = sla.eigvalsh(0.5 * (A + A.T))
+    high = float(sla.svdvals(0.5 * (A - A.T))[0])
+    width = max(float(real[-1] - real[0]), high, 0.5 * float(np.abs(real).max()), 1e-12)
+    return float(real[0]) - 0.2 * width, float(real[-1]) + 0.2 * width, max(1.2 * high, 0.5 * width)
 
 
 def _sigma(T: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -1,0 +1,178 @@
+"""Between continuous and discrete time, names kept: c2d, d2c."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.errors import ParameterError
+from cellsys.response.realization import EPS, Realization, balancing, realization
+
+
+@dataclass(frozen=True)
+class ZeroOrderHold:
+    """Input constant over each step: x+ = exp(A h) x + int exp(A s) ds B u. Exact at samples."""
+
+    def discrete(self, system: Realization, dt: float) -> Realization:
+        """Sample with step dt (s)."""
+        n = system.n_states
+        F = exponential(system.A, system.B, dt)
+        return replace(system, A=F[:n, :n], B=F[:n, n:], dt=dt)
+
+    def continuous(self, system: Realization) -> Realization:
+        """The continuous system with these samples; ParameterError where there is none."""
+        n, m = system.n_states, system.n_inputs
+        values = sla.eigvals(balancing(system.A)[0]) if n else np.zeros(0)
+        real = (values.real <= n * EPS) & (np.abs(values.imag) <= 1e-12 * np.abs(values))
+        if np.any(real):
+            bad = complex(values[np.argmax(real)])
+            raise ParameterError(
+                f"no real logarithm: {bad:.6g} is a pole on the closed negative real axis of the "
+                "z plane; no continuous system sampled with a zero-order hold gives it"
+            )
+        A, scale = balancing(system.A)
+        M = np.block([[A, system.B / scale[:, None]], [np.zeros((m, n)), np.eye(m)]])
+        L = np.real(sla.logm(M)) / system.dt if n else np.zeros((m, m))
+        back = sla.expm(L * system.dt)
+        if float(sla.norm(back - M)) > 1e-6 * max(float(sla.norm(M)), 1e-300):
+            raise ParameterError("the logarithm of the sampled system is not accurate to 1e-6")
+        return replace(
+            system, A=L[:n, :n] * scale[:, None] / scale[None, :],
+            B=L[:n, n:] * scale[:, None], dt=0.0,
+        )
+
+
+@dataclass(frozen=True)
+class Tustin:
+    """Bilinear rule s = (2/h) (z - 1)/(z + 1); the response is kept, the frequency axis warped.
+
+    Parameters
+    ----------
+    match : float
+        Frequency in rad/s at which the two responses agree exactly; 0 for the plain rule.
+    """
+
+    match: float = 0.0
+
+    def _rate(self, dt: float) -> float:
+        if not 0 <= self.match < np.pi / dt:
+            raise ParameterError(
+                f"Tustin.match must lie in [0, pi/dt) = [0, {np.pi / dt:.6g}) rad/s, "
+                f"got {self.match!r}"
+            )
+        return self.match / np.tan(self.match * dt / 2) if self.match else 2.0 / dt
+
+    def discrete(self, system: Realization, dt: float) -> Realization:
+        """Sample with step dt (s)."""
+        a = self._rate(dt)
+        return _moebius(system, a * np.eye(system.n_states) - system.A,
+                        a * np.eye(system.n_states) + system.A, np.sqrt(2 * a), 1.0, dt)
+
+    def continuous(self, system: Realization) -> Realization:
+        """Undo `discrete`; ParameterError when -1 is a pole."""
+        a, n = self._rate(system.dt), system.n_states
+        return _moebius(system, np.eye(n) + system.A, a * (system.A - np.eye(n)),
+                        np.sqrt(2 * a), -1.0, 0.0)
+
+
+def _moebius(
+    system: Realization, M: np.ndarray, N: np.ndarray, root: float, sign: float, dt: float
+) -> Realization:
+    """A -> M^-1 N, B -> root M^-1 B, C -> root C M^-1, D -> D + sign C M^-1 B."""
+    if not len(M):
+        return replace(system, dt=dt)
+    if sla.svdvals(balancing(M)[0])[-1] <= len(M) * EPS * sla.norm(M):
+        raise ParameterError("the bilinear rule meets a pole of the system at its own singularity")
+    lu = sla.lu_factor(M)
+    return replace(
+        system,
+        A=sla.lu_solve(lu, N),
+        B=root * sla.lu_solve(lu, system.B),
+        C=root * sla.lu_solve(lu, system.C.T, trans=1).T,
+        D=system.D + sign * system.C @ sla.lu_solve(lu, system.B),
+        dt=dt,
+    )
+
+
+def exponential(A: np.ndarray, B: np.ndarray, h: float) -> np.ndarray:
+    """[exp(A h), int_0^h exp(A s) ds B], (n, n + m), by one exponential of a balanced matrix."""
+    n, m = B.shape
+    A, scale = balancing(A)
+    M = np.zeros((n + m, n + m))
+    M[:n, :n], M[:n, n:] = A, B / scale[:, None]
+    # Inputs in large units may not decide the number of squarings.
+    size = max(float(sla.norm(M[:n, n:], 1)) if m else 0.0, 1e-300)
+    unit = float(np.exp2(np.floor(np.log2(size / max(float(sla.norm(A, 1)), 1e-300))))) if n else 1
+    unit = unit if np.isfinite(unit) and unit > 0 else 1.0
+    M[:n, n:] /= unit
+    F = sla.expm(M * h)[:n] if n else np.zeros((0, m))
+    F[:, n:] *= unit
+    F[:, :n] = F[:, :n] / scale[None, :]
+    return F * scale[:, None]
+
+
+def c2d(sys: Any, dt: float, method: ZeroOrderHold | Tustin = ZeroOrderHold()) -> Any:
+    """Sample a continuous system; state, input and output names stay.
+
+    Parameters
+    ----------
+    sys : control.StateSpace, continuous
+    dt : float
+        Sampling time, s.
+    method : ZeroOrderHold or Tustin
+
+    Returns
+    -------
+    control.StateSpace
+
+    Raises
+    ------
+    ParameterError
+        The system is discrete already, dt is not > 0, or the rule meets a pole.
+    DataError, DimensionError, BudgetError
+        As for `poles`.
+
+    References
+    ----------
+    Van Loan, IEEE Trans. Automatic Control 23 (1978) 395.
+    """
+    system = realization(sys).dense()
+    if system.is_discrete:
+        raise ParameterError(f"the system is discrete already (dt = {system.dt:g} s)")
+    if not (np.isfinite(dt) and dt > 0):
+        raise ParameterError(f"dt must be > 0 s and finite, got {dt!r}")
+    return method.discrete(system, float(dt)).state_space()
+
+
+def d2c(sys: Any, method: ZeroOrderHold | Tustin = ZeroOrderHold()) -> Any:
+    """The continuous system behind a sampled one; names stay.
+
+    Parameters
+    ----------
+    sys : control.StateSpace, discrete
+    method : ZeroOrderHold or Tustin
+        How it was sampled.
+
+    Returns
+    -------
+    control.StateSpace
+
+    Raises
+    ------
+    ParameterError
+        The system is continuous already; a pole on the closed negative real axis (zero-order
+        hold) or at -1 (Tustin): there is no such continuous system.
+    DataError, DimensionError, BudgetError
+        As for `poles`.
+
+    References
+    ----------
+    Higham, Functions of Matrices (2008), section 11 (the principal logarithm).
+    """
+    system = realization(sys).dense()
+    if not system.is_discrete:
+        raise ParameterError("the system is continuous already (dt = 0)")
+    return method.continuous(system).state_space()

@@ -1,0 +1,107 @@
+"""Balanced truncation: the reference reduction of a plant that is a stable linear system."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.drawable import Drawable
+from cellsys.errors import ParameterError, RankError
+from cellsys.response.gramians import _factors, _plain, require_stable
+from cellsys.response.realization import EPS, Realization, balance, realization
+
+
+@dataclass(frozen=True, eq=False)
+class BalancedTruncation(Drawable):
+    """A reduced model with its a priori error bound.
+
+    Attributes
+    ----------
+    system : Realization
+        Order r, states named ``balanced[i]``; ``.system.state_space()`` for python-control.
+    hankel : array (n,)
+        Hankel singular values of the full system, falling.
+    error_bound : float
+        2 sum of the tail of `hankel`: bounds the H-infinity norm of full minus reduced.
+    left, right : array (n, r)
+        W, V with W^T V = I; A_r = W^T A V.
+    """
+
+    _figure: ClassVar[str] = "hankel"
+    system: Realization
+    hankel: np.ndarray
+    error_bound: float
+    left: np.ndarray
+    right: np.ndarray
+
+    @property
+    def order(self) -> int:
+        """Number of states kept."""
+        return self.system.n_states
+
+    def __str__(self) -> str:
+        return (
+            f"balanced truncation {len(self.hankel)} -> {self.order} states, "
+            f"H-infinity error at most {self.error_bound:.4g}"
+        )
+
+
+def balanced_truncation(
+    sys: Any, *, order: int | None = None, tol: float | None = None
+) -> BalancedTruncation:
+    """Square-root balanced truncation of a stable system.
+
+        F_o^T F_c = U S Y^T,  V = F_c Y_1 S_1^-1/2,  W = F_o U_1 S_1^-1/2,  A_r = W^T A V
+        |G - G_r|_inf <= 2 (sigma_{r+1} + ... + sigma_n)
+
+    Parameters
+    ----------
+    sys : control.StateSpace or tuple of arrays
+    order : int, optional
+        States to keep.
+    tol : float, optional
+        Instead: the smallest order whose error bound is at most tol.
+
+    Returns
+    -------
+    BalancedTruncation
+
+    Raises
+    ------
+    ParameterError
+        Not exactly one of order and tol; the system is not stable.
+    RankError
+        The order asked for is above the number of Hankel singular values that differ from zero
+        by more than n eps of the first.
+
+    References
+    ----------
+    Tombs and Postlethwaite, Int. J. Control 46 (1987) 1319; Antoulas (2005), section 7.
+    """
+    if (order is None) == (tol is None):
+        raise ParameterError("give exactly one of order= and tol=")
+    system = realization(sys).dense()
+    n = system.n_states
+    require_stable(system, "balanced truncation")
+    b = _plain(balance(system))
+    F_c, F_o = _factors(b, discrete=system.is_discrete)
+    U, s, Yt = sla.svd(F_o.T @ F_c) if n else (np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)))
+    tails = 2 * np.concatenate([np.cumsum(s[::-1])[::-1], [0.0]])
+    rank = int(np.count_nonzero(s > n * EPS * s.max(initial=0.0)))
+    r = int(np.argmax(tails <= tol)) if order is None else int(order)
+    r = min(r, rank) if order is None else r
+    if not 0 <= r <= n:
+        raise ParameterError(f"order must lie in 0..{n}, got {order!r}")
+    if r > rank:
+        raise RankError(f"order {r} is above the numerical rank {rank} of the Hankel operator")
+    root = np.sqrt(s[:r])
+    V = b.states[:, None] * (F_c @ Yt[:r].T) / root
+    W = (F_o @ U[:, :r]) / root / b.states[:, None]
+    reduced = Realization(
+        W.T @ (system.A @ V), W.T @ system.B, system.C @ V, system.D, system.dt,
+        tuple(f"balanced[{i}]" for i in range(r)), system.inputs, system.outputs,
+    )
+    return BalancedTruncation(reduced, s, float(tails[r]), W, V)
