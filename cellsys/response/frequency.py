@@ -111,8 +111,8 @@ def frequency_response(sys: Any, omega: Any = None, *, accuracy: bool = True) ->
         rad/s. Left out: a grid from the poles and zeros, refined where G turns quickly.
     accuracy : bool
         Also give the bound of the relative error at each frequency,
-        ``(10 + sqrt n) eps |A|_F |C R| |R B| / |G|`` with R = (s I - A)^-1, in balanced
-        coordinates. Doubles the time.
+        ``(10 + sqrt n) eps ((|A|_F + |s|) |C R| |R B| + |C| |R B| + |C R| |B|) / |G|`` with
+        R = (s I - A)^-1, in balanced coordinates. Doubles the time.
 
     Returns
     -------

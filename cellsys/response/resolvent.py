@@ -44,8 +44,13 @@ class Resolvent:
     def __post_init__(self) -> None:
         if self.system.is_sparse:
             self.norm = float(spla.norm(self.system.A)) if self.system.n_states else 0.0
+            self._rows_norm = np.linalg.norm(self.system.C, axis=1)
+            self._columns_norm = np.linalg.norm(self.system.B, axis=0)
+            self._scale = np.ones(self.system.D.shape)
             return
         self._b = balance(self.system)
+        self._rows_norm = np.linalg.norm(self._b.C, axis=1)
+        self._columns_norm = np.linalg.norm(self._b.B, axis=0)
         self.norm = float(np.linalg.norm(self._b.A))
         self._scale = self._b.left[:, None] * self._b.right[None, :]
         if self.system.n_inputs + self.system.n_outputs > _CHANNELS:
@@ -67,7 +72,8 @@ class Resolvent:
     def with_accuracy(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """G (p, m, k) and a bound of the absolute error of each entry (p, m, k).
 
-            |dG_ij| <= backward |A|_F |c_i (s I - A)^-1| |(s I - A)^-1 b_j| + eps |D_ij|
+            |dG_ij| <= backward ((|A|_F + |s|) |c_i R| |R b_j| + |c_i| |R b_j| + |c_i R| |b_j|)
+                       + eps (|D_ij| + 4 |G_ij|),     R = (s I - A)^-1
         """
         return self._evaluate(s, True)
 
@@ -88,14 +94,15 @@ class Resolvent:
             route = self._sparse if self.system.is_sparse else self._dense
             G[:, :, part], right, left = route(s[part], accuracy)
             if accuracy:
-                with np.errstate(invalid="ignore"):
-                    bound[:, :, part] = left[:, None] * right[None] * (self.backward * self.norm)
+                with np.errstate(invalid="ignore", over="ignore"):
+                    size = (self.norm + np.abs(s[part])) * left[:, None] * right[None]
+                    size += self._rows_norm[:, None, None] * right[None]
+                    size += left[:, None] * self._columns_norm[None, :, None]
+                    bound[:, :, part] = self.backward * size / self._scale[:, :, None]
         D = self.system.D[:, :, None]
         if accuracy:
             # A product inf * 0 (a pole nobody sees) says nothing: no bound.
             bound = np.where(np.isnan(bound), np.inf, bound)
-            if not self.system.is_sparse:
-                bound = bound / self._scale[:, :, None]
             bound += EPS * (np.abs(D) + 4 * np.abs(G))
         with np.errstate(invalid="ignore"):
             return G + D, bound

@@ -100,8 +100,11 @@ class RootSet(Drawable, np.ndarray):
         """Number of roots in the cluster of each."""
         return self.spectrum.cluster_size
 
+    def __deepcopy__(self, memo: dict) -> RootSet:
+        return self  # read-only
+
     def __reduce__(self) -> tuple:
-        """Copies and pickles keep the details."""
+        """Pickles keep the details."""
         return _rebuild, (np.array(self), self.kind, self.dt, self.spectrum, self.note)
 
     def __str__(self) -> str:
