@@ -46,6 +46,8 @@ class Trajectory(Drawable):
         Polarity and sensed direction of each cell.
     amplitude : array (T, cells), optional
         Lamellipodium amplitude (1 = nominal).
+    eta_start : array (n_eta,), optional
+        The laws at (t_0, x_0), not averaged: what a latent initial state is made from.
     events : tuple of Event
         Discrete happenings, in order of time.
     statistics : mapping
@@ -63,6 +65,7 @@ class Trajectory(Drawable):
     p: np.ndarray | None = None
     d: np.ndarray | None = None
     amplitude: np.ndarray | None = None
+    eta_start: np.ndarray | None = None
     events: tuple[Event, ...] = ()
     statistics: Mapping[str, Any] = field(default_factory=dict)
     label: str = ""

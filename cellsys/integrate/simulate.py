@@ -75,6 +75,7 @@ def record_shapes(
     if auxiliaries:
         shapes["eta"] = (max(T - 1, 0), auxiliary_layout(system).size)
         shapes["u"] = (max(T - 1, 0), n)
+        shapes["eta_start"] = (shapes["eta"][1],)
     for name, value in system.observe(float(t[0]), system.x0).items():
         shapes[name] = (T, *value.shape)
     return shapes
@@ -143,6 +144,8 @@ def simulate(
         if sink is not None
         else _Memory(record_shapes(system, times, auxiliaries))
     )
+    if auxiliaries:
+        rows.arrays["eta_start"][: system.auxiliaries.size] = system.eta(float(times[0]), start)
     began = clock.perf_counter()
     if hasattr(integrator, "solve"):
         statistics, events = _record_solution(
@@ -186,6 +189,7 @@ def trajectory_of(
         p=arrays.get("p"),
         d=arrays.get("d"),
         amplitude=arrays.get("amplitude"),
+        eta_start=arrays.get("eta_start"),
         events=events,
         statistics=statistics,
         label=label,

@@ -23,7 +23,7 @@ from cellsys.mechanics.fibre_kernels import fibre_forces, fibre_slopes
 from cellsys.mechanics.geometry.disc import Disc, StiffnessAssembly
 
 MATRIX = "matrix"
-_STIFFER, _SOFTER, _MARGIN = 1.2, 0.6, 1.1
+_SOFTER = 0.6  # the bound is renewed when the network has become this much softer
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,8 @@ class FibreElement(Element):
         self.disc, self.law = disc, effect.fibre_law()
         self.name = f"{MATRIX}.{effect.name}"
         self.ports = (Port(MATRIX, self.name),)
-        self._kept: np.ndarray | None = None
+        self._along: np.ndarray | None = None
+        self._across: np.ndarray | None = None
         self._key = 0
         self._assembly: StiffnessAssembly | None = None
 
@@ -104,7 +105,7 @@ class FibreElement(Element):
         return float((d.stiffness * d.length**2) @ axial_energy(strain, *self.law))
 
     def forget(self) -> None:
-        self._kept = None
+        self._along = self._across = None
 
     def slopes(self, s: Configuration) -> tuple[np.ndarray, np.ndarray]:
         """Tangent slope g' and tension (pN) of every fibre."""
@@ -125,23 +126,29 @@ class FibreElement(Element):
         return s.cache[self.name]
 
     def stiffness(self, s: Configuration) -> tuple[Stiffness, ...]:
-        # A fibre passes from its buckled to its full slope within a few nm, faster than any look:
-        # 1 bounds every slope that has not stiffened, and one factorisation then serves a run.
-        slope = np.ones(1) if self.law.onset == NEVER else np.maximum(self.slopes(s)[0], 1.0)
-        if (
-            self._kept is None
-            or np.any(slope > self._kept)
-            or slope.sum() < _SOFTER * self._kept.sum()
-        ):
-            self._kept, self._key = np.where(slope > 1.0, _STIFFER * slope, 1.0), self._key + 1
-        return (Stiffness(MATRIX, (), self._bound, self._key),)
-
-    def _bound(self) -> sp.csc_array:
-        """Sum of k g' n n^T over fibres, (3n, 3n), with a margin for tension and turning."""
         d = self.disc
+        slope, tension = self.slopes(s)
+        # A fibre passes from its buckled to its full slope within a few nm, faster than any look,
+        # so 1 bounds every slope that has not stiffened. Tension stiffens a fibre across its
+        # axis, which decides for the floppy out-of-plane modes of a thin film.
+        along = np.maximum(slope, 1.0) * d.stiffness
+        across = np.maximum(tension, 0.0) / d.length
+        if (
+            self._along is None
+            or np.any(along > self._along)
+            or np.any(across > self._across)
+            or along.sum() < _SOFTER * self._along.sum()
+        ):
+            self._along = np.where(slope > 1.0, 1.2, 1.1) * along
+            self._across = 1.5 * across + 0.03 * d.stiffness
+            self._key += 1
+        x = d.position + s.nodes[MATRIX]
+        return (Stiffness(MATRIX, (), lambda: self._bound(x), self._key),)
+
+    def _bound(self, x: np.ndarray) -> sp.csc_array:
         if self._assembly is None:
-            self._assembly = StiffnessAssembly(d.position, d.fibres)
-        return self._assembly(_MARGIN * d.stiffness * self._kept)
+            self._assembly = StiffnessAssembly(len(x), self.disc.fibres)
+        return self._assembly(x, self._along, self._across)
 
 
 @dataclass(frozen=True)

@@ -96,32 +96,32 @@ def connect(x: np.ndarray, coordination: float) -> np.ndarray:
 
 
 class StiffnessAssembly:
-    """Stiffness matrices (3n, 3n) of one network for many sets of fibre stiffnesses.
+    """Stiffness matrices (3n, 3n) of one network for many geometries and fibre stiffnesses.
 
-    K = sum of k n n^T over fibres, n the rest directions. The pattern is found once; a matrix
-    then costs one sparse product.
+    K = sum over fibres of (a - b) n n^T + b I on the two ends, a along the fibre, b across it.
+    The sparsity pattern is found once.
     """
 
-    def __init__(self, x: np.ndarray, fibres: np.ndarray) -> None:
-        d = x[fibres[:, 1]] - x[fibres[:, 0]]
-        n = d / np.linalg.norm(d, axis=1)[:, None]
-        m, self.size = len(fibres), 3 * len(x)
+    def __init__(self, n_nodes: int, fibres: np.ndarray) -> None:
+        self.fibres, self.size = fibres, 3 * n_nodes
         dof = np.concatenate([3 * fibres[:, [0]] + np.arange(3), 3 * fibres[:, [1]] + np.arange(3)], 1)
-        g = np.concatenate([-n, n], axis=1)
-        value = (g[:, :, None] * g[:, None, :]).reshape(m, 36)
-        row = np.repeat(dof, 6, axis=1)
-        col = np.tile(dof, (1, 6))
-        key, place = np.unique(col * self.size + row, return_inverse=True)
-        self.indices = (key % self.size).astype(np.int32)
-        columns = key // self.size
-        self.indptr = np.searchsorted(columns, np.arange(self.size + 1)).astype(np.int32)
-        fibre = np.repeat(np.arange(m), 36)
-        self.entries = sp.csr_array((value.ravel(), (place.ravel(), fibre)), (len(key), m))
+        key = np.tile(dof, (1, 6)) * self.size + np.repeat(dof, 6, axis=1)
+        keys, place = np.unique(key.ravel(), return_inverse=True)
+        self._place, self._n_entries = place.ravel(), len(keys)
+        self._indices = (keys % self.size).astype(np.int32)
+        self._indptr = np.searchsorted(keys // self.size, np.arange(self.size + 1)).astype(np.int32)
 
-    def __call__(self, stiffness: np.ndarray) -> sp.csc_array:
-        """K (3n, 3n), pN/um, for fibre stiffnesses (m,), pN/um."""
-        data = self.entries @ stiffness
-        return sp.csc_array((data, self.indices, self.indptr), (self.size, self.size))
+    def __call__(self, x: np.ndarray, along: np.ndarray, across: np.ndarray) -> sp.csc_array:
+        """K, pN/um, for node positions x (n, 3) um and fibre stiffnesses (m,), pN/um."""
+        d = x[self.fibres[:, 1]] - x[self.fibres[:, 0]]
+        n = d / np.sqrt((d**2).sum(axis=1) + 1e-12)[:, None]
+        block = (along - across)[:, None, None] * n[:, :, None] * n[:, None, :]
+        block[:, [0, 1, 2], [0, 1, 2]] += across[:, None]
+        both = np.concatenate(
+            [np.concatenate([block, -block], axis=2), np.concatenate([-block, block], axis=2)], 1
+        )
+        data = np.bincount(self._place, both.ravel(), self._n_entries)
+        return sp.csc_array((data, self._indices, self._indptr), (self.size, self.size))
 
 
 def relaxed_shear_modulus(
@@ -132,7 +132,7 @@ def relaxed_shear_modulus(
     From the energy U = G gamma^2 V / 2 of unit pure shear; free faces. A weak vertical spring
     (1e-6 of the mean stiffness) removes bending mechanisms that cost no energy.
     """
-    K = StiffnessAssembly(x, fibres)(stiffness)
+    K = StiffnessAssembly(len(x), fibres)(x, stiffness, np.zeros(len(fibres)))
     K = sp.csc_array(K + sp.diags_array(np.full(K.shape[0], 1e-6 * float(stiffness.mean()))))
     u = np.zeros_like(x)
     u[:, 0], u[:, 1] = 0.5 * x[:, 1], 0.5 * x[:, 0]

@@ -1,0 +1,17 @@
+"""The loop: plant, controller, sensor, closed together."""
+
+from cellsys.loop.closed_loop import ClosedLoop, Linearisation, closed_loop
+from cellsys.loop.input_map import MPol
+from cellsys.loop.polarity import Perturb, PolarityLaw, Stay
+from cellsys.reduction.sensor import StiffnessSensor
+
+__all__ = [
+    "ClosedLoop",
+    "Linearisation",
+    "MPol",
+    "Perturb",
+    "PolarityLaw",
+    "Stay",
+    "StiffnessSensor",
+    "closed_loop",
+]

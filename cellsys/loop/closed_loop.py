@@ -1,0 +1,346 @@
+"""The closed polarity loop on a reduced plant: simulate it, linearise it, cut it open.
+
+    z' = A z + b + B c(p)      p' = kappa p x (d x p)      d = K_d [1; z]   [thesis eq. 85]
+
+Linearised about (z*, p*) with T the tangent of p in the substrate plane, dp = T xi:
+
+    [[A, B_u T], [kappa T^T S_d, -kappa p*.d*]]             raw d
+    [[A, B_u T], [kappa/|d*| T^T S_d, -kappa p*.d*/|d*|]]   normalised d
+
+and broken at kappa, for negative feedback,
+
+    L(s) = (kappa/s) (p*.d* - G(s)),   G(s) = T^T S_d (sI - A)^-1 B_u T      [theory.md 3]
+
+whose gain margin is the factor on kappa.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.drawable import Drawable
+from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.integrate.simulate import simulate
+from cellsys.integrate.symbolic import CVODES
+from cellsys.laws.arrays import operations
+from cellsys.laws.polarity import heading_features
+from cellsys.loop.polarity import PolarityLaw
+from cellsys.reduction.model import LatentModel
+from cellsys.reduction.sensor import StiffnessSensor
+from cellsys.system import Block, Layout, OdeSystem
+from cellsys.trajectory import Trajectory
+
+_FEATURES = ("amplitude", "cos", "sin", "cos2", "sin2")
+
+
+class ClosedLoopSystem(OdeSystem):
+    """State [z; p]; reports p and d with every sample."""
+
+    loop: Any
+
+    def observe(self, t: float, x: np.ndarray) -> dict[str, np.ndarray]:
+        loop = self.loop
+        return {"p": x[None, loop.order :].copy(), "d": loop.sensed(x[: loop.order])[None]}
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation(Drawable):
+    """The loop linearised about one point.
+
+    Parameters
+    ----------
+    A : (m + 1, m + 1), 1/s
+        Closed loop in (z, xi).
+    z, p, d : (m,), (3,), (3,)
+        Where; d is the sensed direction there as the law uses it.
+    residual : float
+        |(z', p')| there, per unit of state: 0 at an equilibrium; else the linearisation is
+        frozen in time.
+    integrators : tuple of int
+        Closed-loop poles set apart as absolute position: |pole| below `integrator_tolerance`.
+    """
+
+    A: np.ndarray
+    z: np.ndarray
+    p: np.ndarray
+    d: np.ndarray
+    residual: float
+    kappa: float
+    A_plant: np.ndarray
+    B_heading: np.ndarray
+    S_heading: np.ndarray
+    strength: float
+
+    _figure: ClassVar[str] = "linearisation"
+
+    @property
+    def poles(self) -> np.ndarray:
+        """Closed-loop poles, 1/s."""
+        return sla.eigvals(self.A)
+
+    def closed(self, factor: float = 1.0) -> np.ndarray:
+        """Closed-loop matrix with kappa multiplied by `factor`."""
+        A = self.A.copy()
+        A[-1] *= factor
+        return A
+
+    def __str__(self) -> str:
+        where = "equilibrium" if self.residual < 1e-9 else "frozen time, not an equilibrium"
+        return (
+            f"linearised loop, order {len(self.A)}: spectral abscissa "
+            f"{self.poles.real.max():.3g} 1/s; {where} (residual {self.residual:.2g} 1/s)"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """Plant, controller and sensor joined.
+
+    Parameters
+    ----------
+    model : LatentModel
+        Its inputs must be heading features (amplitude, cos, sin, cos2, sin2) of one cell.
+    controller : PolarityLaw
+    sensor : StiffnessSensor
+    normalise : bool
+        Whether d is scaled to |d| = 1 (default, as in the full-order model).
+    z0, p0 : (m,), (3,)
+        Start of `simulate`.
+    """
+
+    model: LatentModel
+    controller: PolarityLaw
+    sensor: StiffnessSensor
+    normalise: bool
+    z0: np.ndarray
+    p0: np.ndarray
+
+    @property
+    def order(self) -> int:
+        """m."""
+        return self.model.order
+
+    def commands(self, p: Any) -> Any:
+        """Inputs c(p) of the model, numpy or CasADi."""
+        all_of = dict(zip(_FEATURES[1:], _split(heading_features(p)), strict=True))
+        all_of["amplitude"] = 1.0
+        chosen = [all_of[name.split(".")[-1]] for name in self.model.input_names]
+        return operations(p).concatenate(chosen)
+
+    def sensed(self, z: Any) -> Any:
+        """d as the law uses it, numpy or CasADi."""
+        raw = self.sensor.K_d[:, 0] + self.sensor.S_d @ z
+        if not self.normalise:
+            return raw
+        ops = operations(z)
+        # A raw direction of zero stays zero and turns nothing.
+        return raw / ops.sqrt(ops.dot(raw, raw) + 1e-300)
+
+    @property
+    def system(self) -> ClosedLoopSystem:
+        """The loop as an `OdeSystem` with states z and p."""
+        A, B, b = self.model.continuous_matrices()
+        m, loop = self.order, self
+
+        def forcing(t: Any, x: Any) -> list:
+            z, p = x[:m], x[m:]
+            return [B @ loop.commands(p) + b, loop.controller.rate(p, loop.sensed(z))]
+
+        def numeric(t: Any, x: Any) -> Any:
+            parts = forcing(t, x)
+            return parts if operations(x) is not operations(0.0) else np.concatenate(parts)
+
+        W = np.zeros((m + 3, m + 3))
+        W[:m, :m] = A
+        system = ClosedLoopSystem(
+            states=Layout([Block("z", (m,)), Block("p", (3,), "1", "controller", "internal")]),
+            x0=np.concatenate([self.z0, self.p0]),
+            W_x=W,
+            forcing=numeric,
+        )
+        object.__setattr__(system, "loop", self)
+        return system
+
+    def simulate(
+        self, t: np.ndarray, integrator: Any, *, z0: Any = None, p0: Any = None
+    ) -> Trajectory:
+        """Run the loop at the times `t` (s) with a CasADi integrator."""
+        start = np.concatenate(
+            [
+                self.z0 if z0 is None else np.asarray(z0, float),
+                self.p0 if p0 is None else np.asarray(p0, float),
+            ]
+        )
+        return simulate(self.system, integrator, t, start, label="closed loop, reduced")
+
+    def linearize(self, at: Any = None) -> Linearisation:
+        """Linearise about a point.
+
+        Parameters
+        ----------
+        at : None, float, Trajectory, (z, p) or "equilibrium"
+            None: the end of a 1500 s run from the loop's own start. A float: that time of such
+            a run. A trajectory of this loop: its last sample. "equilibrium": solved by Newton's
+            method from the end of that run (a crawling cell usually has none; then refused).
+        """
+        z, p = self._point(at)
+        A, B, b = self.model.continuous_matrices()
+        tangent = np.array([-p[1], p[0], 0.0]) / np.hypot(p[0], p[1])
+        B_heading = B @ self._features_slope(p)
+        raw = self.sensor.raw(z)
+        size = float(np.linalg.norm(raw)) if self.normalise else 1.0
+        if size == 0.0:
+            raise DataError("the sensed direction is zero at this point: the loop has no slope there")
+        d = raw / size
+        # Turning of p follows the part of d across p; normalisation removes the part along d.
+        S = tangent @ self.sensor.S_d / size
+        if self.normalise:
+            S = S - float(tangent @ d) * (d @ self.sensor.S_d) / size
+        strength = float(p @ d) / float(np.linalg.norm(p)) ** 2 * float(p @ p)
+        kappa = self.controller.kappa
+        closed = np.block([[A, B_heading[:, None]], [kappa * S[None], -kappa * strength]])
+        rate = np.concatenate(
+            [A @ z + B @ np.asarray(self.commands(p)) + b, self.controller.rate(p, d)]
+        )
+        residual = float(np.linalg.norm(rate)) / max(1.0, float(np.linalg.norm(z)))
+        return Linearisation(closed, z, p, d, residual, kappa, A, B_heading, S, strength)
+
+    def _features_slope(self, p: np.ndarray) -> np.ndarray:
+        """dc/dtheta (n_c,) at heading theta of p."""
+        theta = np.arctan2(p[1], p[0])
+        slope = {
+            "amplitude": 0.0,
+            "cos": -np.sin(theta),
+            "sin": np.cos(theta),
+            "cos2": -2.0 * np.sin(2 * theta),
+            "sin2": 2.0 * np.cos(2 * theta),
+        }
+        return np.array([slope[n.split(".")[-1]] for n in self.model.input_names])
+
+    def open_loop(self, at: Any = None) -> Any:
+        """Return ratio for negative feedback, cut at kappa, as `control.StateSpace`.
+
+        Its gain margin is the factor on kappa. States z and xi, input v, output y:
+        z' = A z + B_u T xi, xi' = kappa v, y = (p*.d*) xi - T^T S_d z.
+        """
+        import control
+
+        point = at if isinstance(at, Linearisation) else self.linearize(at)
+        m = self.order
+        A = np.zeros((m + 1, m + 1))
+        A[:m, :m], A[:m, m] = point.A_plant, point.B_heading
+        B = np.zeros((m + 1, 1))
+        B[m, 0] = point.kappa
+        C = np.concatenate([-point.S_heading, [point.strength]])[None]
+        return control.ss(
+            A,
+            B,
+            C,
+            np.zeros((1, 1)),
+            0,
+            states=[*(f"z[{i}]" for i in range(m)), "xi"],
+            inputs=["v"],
+            outputs=["y"],
+            name="return_ratio_kappa",
+        )
+
+    def _point(self, at: Any) -> tuple[np.ndarray, np.ndarray]:
+        if isinstance(at, str) and at != "equilibrium":
+            raise ParameterError(f"at must be a time, a trajectory, (z, p) or 'equilibrium', got {at!r}")
+        if at is None or isinstance(at, (int, float, str)):
+            end = 1500.0 if at is None or isinstance(at, str) else float(at)
+            if end > 0:
+                run = self.simulate(np.array([0.0, end]), CVODES(rtol=1e-8, atol=1e-8))
+                z, p = run.x[-1, : self.order], run.x[-1, self.order :]
+            else:
+                z, p = self.z0, self.p0
+            return self._equilibrium(z, p) if isinstance(at, str) else (z, p)
+        if isinstance(at, Trajectory):
+            return np.asarray(at.x[-1, : self.order]), np.asarray(at.x[-1, self.order :])
+        z, p = (np.asarray(v, dtype=float) for v in at)
+        if z.shape != (self.order,) or p.shape != (3,):
+            raise DimensionError(f"at must be (z ({self.order},), p (3,)), got {z.shape}, {p.shape}")
+        if np.hypot(p[0], p[1]) == 0.0:
+            raise DataError("p is normal to the substrate: it has no heading")
+        return z, p
+
+    def _equilibrium(self, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        theta = float(np.arctan2(p[1], p[0]))
+        A, B, b = self.model.continuous_matrices()
+        for _ in range(50):
+            p = np.array([np.cos(theta), np.sin(theta), 0.0])
+            point = self.linearize((z, p))
+            across = np.array([-p[1], p[0], 0.0])
+            rate = np.concatenate(
+                [
+                    A @ z + B @ np.asarray(self.commands(p)) + b,
+                    [float(across @ self.controller.rate(p, self.sensed(z)))],
+                ]
+            )
+            if float(np.linalg.norm(rate)) < 1e-12 * max(1.0, float(np.linalg.norm(z))):
+                return z, p
+            step = sla.lstsq(point.A, -rate, cond=1e-14)[0]
+            z, theta = z + step[:-1], theta + float(np.clip(step[-1], -0.5, 0.5))
+        raise DataError(
+            "no equilibrium found: Newton's method stopped at a rate of "
+            f"{np.linalg.norm(rate):.2g}; a crawling cell has none, linearise at a time instead"
+        )
+
+
+def _split(vector: Any) -> list:
+    return [vector[i] for i in range(4)]
+
+
+def closed_loop(
+    model: LatentModel,
+    *,
+    controller: PolarityLaw | None = None,
+    sensor: StiffnessSensor | None = None,
+    normalise: bool = True,
+    z0: np.ndarray | None = None,
+    p0: np.ndarray | None = None,
+) -> ClosedLoop:
+    """Join a reduced plant, the polarity law and the sensor.
+
+    Parameters
+    ----------
+    model : LatentModel
+        With heading features as inputs.
+    controller : PolarityLaw, optional
+        Default kappa = 1/60 1/s.
+    sensor : StiffnessSensor, optional
+        Default the model's own.
+    normalise : bool
+        Scale d to unit length (default).
+    z0, p0 : array (m,), (3,), optional
+        Start; default the model's start and a heading of 0 degrees.
+
+    Raises
+    ------
+    ParameterError, DimensionError
+        When the model has no sensor, or inputs that are not heading features of one cell.
+    """
+    sensor = model.sensor if sensor is None else sensor
+    if sensor is None:
+        raise ParameterError("the model has no sensor; fit one or pass sensor=")
+    if sensor.S_d.shape[1] != model.order:
+        raise DimensionError(
+            f"the sensor reads {sensor.S_d.shape[1]} latent states, the model has {model.order}"
+        )
+    names = [n.split(".") for n in model.input_names]
+    if not names or any(n[-1] not in _FEATURES for n in names) or len({n[0] for n in names}) > 1:
+        raise ParameterError(
+            "closed_loop needs a model whose inputs are heading features of one cell "
+            f"({', '.join(_FEATURES)}), got {list(model.input_names)}"
+        )
+    if z0 is None:
+        z0 = model.z_start if model.z_start is not None else np.zeros(model.order)
+    p0 = np.array([1.0, 0.0, 0.0]) if p0 is None else np.asarray(p0, dtype=float)
+    z0 = np.asarray(z0, dtype=float)
+    if z0.shape != (model.order,) or p0.shape != (3,):
+        raise DimensionError(f"z0 must be ({model.order},) and p0 (3,), got {z0.shape}, {p0.shape}")
+    return ClosedLoop(model, controller or PolarityLaw(), sensor, normalise, z0, p0)

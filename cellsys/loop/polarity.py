@@ -1,0 +1,91 @@
+"""The controller: the triple-product polarity law with its two degenerate directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.laws.polarity import exact_step, rate
+
+
+@dataclass(frozen=True)
+class Stay:
+    """p = -d is an equilibrium of the law: stay there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Perturb:
+    """Leave p near -d by a small turn in the substrate plane, its side drawn from a seed.
+
+    Parameters
+    ----------
+    angle : float
+        Turn, rad.
+    within : float
+        Cosine of p and d below which the turn is made.
+    seed : int
+        Of the side.
+    """
+
+    angle: float = 0.01
+    within: float = -0.999
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.angle < np.pi:
+            raise ParameterError(f"Perturb.angle must be in (0, pi) rad, got {self.angle!r}")
+
+
+@dataclass(frozen=True)
+class PolarityLaw:
+    """dp/dt = kappa p x (d x p)                                          [thesis eq. 72]
+
+    |p| is constant. d = 0 turns nothing. p = -|p| d/|d| is an unstable equilibrium; what happens
+    there is the choice `antiparallel`.
+
+    Parameters
+    ----------
+    kappa : float
+        Gain, 1/s; the thesis's code has 1/60.
+    antiparallel : Stay or Perturb
+    """
+
+    kappa: float = 1.0 / 60.0
+    antiparallel: Stay | Perturb = Stay()
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.kappa) and self.kappa >= 0):
+            raise ParameterError(f"PolarityLaw.kappa must be finite and >= 0 1/s, got {self.kappa!r}")
+
+    def rate(self, p: Any, d: Any) -> Any:
+        """dp/dt (3,), numpy or CasADi; p and d (3,)."""
+        return rate(p, d, self.kappa)
+
+    def step(self, p: np.ndarray, d: np.ndarray, dt: float) -> np.ndarray:
+        """Exact solution after dt seconds for constant d: tan(theta/2) decays exponentially.
+
+        Raises
+        ------
+        DimensionError, DataError
+            When p or d is not (3,) or not finite.
+        """
+        p, d = np.asarray(p, dtype=float), np.asarray(d, dtype=float)
+        if p.shape != (3,) or d.shape != (3,):
+            raise DimensionError(f"p and d must have shape (3,), got {p.shape} and {d.shape}")
+        if not (np.all(np.isfinite(p)) and np.all(np.isfinite(d)) and np.isfinite(dt)):
+            raise DataError("p, d or dt is not finite")
+        return exact_step(self._off_antipode(p, d), d, self.kappa, dt)
+
+    def _off_antipode(self, p: np.ndarray, d: np.ndarray) -> np.ndarray:
+        if isinstance(self.antiparallel, Stay):
+            return p
+        scale = float(np.linalg.norm(p) * np.linalg.norm(d))
+        if scale == 0.0 or float(p @ d) > self.antiparallel.within * scale:
+            return p
+        # The side is a fixed draw from the seed, so that full and reduced runs turn alike.
+        side = 1.0 if np.random.default_rng(self.antiparallel.seed).random() < 0.5 else -1.0
+        c, s = np.cos(self.antiparallel.angle), side * np.sin(self.antiparallel.angle)
+        return np.array([c * p[0] - s * p[1], s * p[0] + c * p[1], p[2]])

@@ -1,0 +1,27 @@
+"""Reduction: snapshots, basis, reductors, the latent model and its card."""
+
+from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD
+from cellsys.reduction.card import Card, assess
+from cellsys.reduction.model import LatentModel
+from cellsys.reduction.pcr import PCR
+from cellsys.reduction.least_squares import LeastSquares
+from cellsys.reduction.reduce import reduce
+from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
+from cellsys.reduction.snapshots import RunData, Snapshots, snapshots
+
+__all__ = [
+    "PCR",
+    "Basis",
+    "Card",
+    "ExactSVD",
+    "LatentModel",
+    "LeastSquares",
+    "RandomisedSVD",
+    "RunData",
+    "Snapshots",
+    "StiffnessSensor",
+    "assess",
+    "fit_sensor",
+    "reduce",
+    "snapshots",
+]

@@ -1,0 +1,464 @@
+"""`LatentModel`: a reduced affine model z' = A z + B c + b with its basis and its card."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.drawable import Drawable
+from cellsys.errors import (
+    DataError,
+    DimensionError,
+    FileFormatError,
+    IntegrationError,
+    ParameterError,
+    RepresentationError,
+)
+from cellsys.reduction.card import Card
+from cellsys.reduction.sensor import StiffnessSensor
+from cellsys.store.archive import load_archive, save_archive
+from cellsys.system import Block, Layout
+
+_KIND, _VERSION = "latent model", 1
+_ARRAYS = ("A", "B", "offset", "V", "mean", "scale", "singular_values", "z_start")
+
+
+@dataclass(frozen=True, eq=False)
+class LatentModel(Drawable):
+    """A reduced model, continuous or the generator of a step.
+
+        dt is None :  z' = A z + B c + b
+        dt given   :  z+ = z + dt (A z + B c + b)          [theory.md 2; A is thesis eq. 24]
+
+    with z = V^T S^-1 (x~ - mean) and x~ = [x; eta] ~ mean + S V z.
+
+    Parameters
+    ----------
+    A : (m, m), 1/s
+    B : (m, n_c), optional
+        Input map of the commands c.
+    offset : (m,), optional
+        b, 1/s.
+    V : (n + n_eta, m), optional
+        Orthonormal basis; rows of the states first.
+    mean, scale : (n + n_eta,), optional
+        Centre and scale factors; a scale of 0 marks a dropped column.
+    singular_values : (m,), optional
+    dt : float, optional
+        Step of a step model, s.
+    n_states : int, optional
+        n; the remaining rows of V belong to eta.
+    blocks : mapping of str to indices, optional
+        Rows of V by role: ``component`` (cells) and ``field`` (matrix).
+    states, auxiliaries : Layout, optional
+        Names of the rows of V.
+    input_names : sequence of str, optional
+    z_start : (m,), optional
+        Latent state at the start of the training runs (their mean).
+    sensor : StiffnessSensor, optional
+    card : Card, optional
+        What the model is worth; see `cellsys.reduction.card`.
+
+    Raises
+    ------
+    DataError, DimensionError
+        NaN or inf, or arrays that do not fit together.
+    """
+
+    A: np.ndarray
+    B: np.ndarray | None = None
+    offset: np.ndarray | None = None
+    V: np.ndarray | None = None
+    mean: np.ndarray | None = None
+    scale: np.ndarray | None = None
+    singular_values: np.ndarray | None = None
+    dt: float | None = None
+    n_states: int | None = None
+    blocks: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    states: Layout | None = None
+    auxiliaries: Layout | None = None
+    input_names: tuple[str, ...] | None = None
+    z_start: np.ndarray | None = None
+    sensor: StiffnessSensor | None = None
+    card: Card | None = None
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+    _figure: ClassVar[str] = "latent_model"
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        A = np.atleast_2d(np.array(self.A, dtype=float))
+        m = A.shape[0]
+        if A.shape != (m, m):
+            raise DimensionError(f"A must be square, got {A.shape}")
+        put("A", A)
+        B = np.zeros((m, 0)) if self.B is None else np.array(self.B, dtype=float)
+        put("B", B.reshape(m, -1) if B.ndim < 2 and B.size % m == 0 else B)
+        put("offset", np.zeros(m) if self.offset is None else np.array(self.offset, dtype=float))
+        for name in ("V", "mean", "scale", "singular_values", "z_start"):
+            value = getattr(self, name)
+            if value is not None:
+                put(name, np.array(value, dtype=float))
+        if self.V is not None:
+            rows = len(self.V)
+            put("mean", np.zeros(rows) if self.mean is None else self.mean)
+            put("scale", np.ones(rows) if self.scale is None else self.scale)
+            put("n_states", rows if self.n_states is None else int(self.n_states))
+        shapes = {
+            "B": (self.B.shape, (m, self.B.shape[-1])),
+            "offset": (self.offset.shape, (m,)),
+        }
+        if self.z_start is not None:
+            shapes["z_start"] = (self.z_start.shape, (m,))
+        if self.V is not None:
+            rows = len(self.V)
+            shapes |= {
+                "V": (self.V.shape, (rows, m)),
+                "mean": (self.mean.shape, (rows,)),
+                "scale": (self.scale.shape, (rows,)),
+            }
+            if not 0 <= self.n_states <= rows:
+                raise DimensionError(f"n_states must be between 0 and {rows}, got {self.n_states}")
+        for name, (got, expected) in shapes.items():
+            if got != expected:
+                raise DimensionError(f"{name} must have shape {expected}, got {got}")
+        for name in _ARRAYS:
+            value = getattr(self, name)
+            if value is not None and not np.all(np.isfinite(value)):
+                raise DataError(f"{name} holds NaN or inf; a model cannot be made from it")
+            if value is not None:
+                value.setflags(write=False)
+        if self.dt is not None and not (np.isfinite(self.dt) and self.dt > 0):
+            raise ParameterError(f"dt must be > 0 s (or None for a continuous model), got {self.dt!r}")
+        names = self.input_names
+        if names is None:
+            names = tuple(f"c[{i}]" for i in range(self.B.shape[1]))
+        if len(names) != self.B.shape[1]:
+            raise DimensionError(f"{len(names)} input names for {self.B.shape[1]} inputs")
+        put("input_names", tuple(names))
+        put("blocks", {k: np.asarray(list(v), dtype=int) for k, v in dict(self.blocks).items()})
+        for name, rows_of in self.blocks.items():
+            if self.V is None or np.any(rows_of < 0) or np.any(rows_of >= len(self.V)):
+                raise DimensionError(f"block {name!r} names rows that V does not have")
+
+    # Shape and parts
+
+    @property
+    def order(self) -> int:
+        """m."""
+        return self.A.shape[0]
+
+    def _basis(self, name: str) -> np.ndarray:
+        if self.V is None:
+            raise RepresentationError(
+                f"this model was given without a basis, so it has no {name}; pass V=..."
+            )
+        return self.V
+
+    @property
+    def V_x(self) -> np.ndarray:
+        """Rows of V that belong to the states (n, m)."""
+        return self._basis("V_x")[: self.n_states]
+
+    @property
+    def V_eta(self) -> np.ndarray:
+        """Rows of V that belong to the auxiliaries (n_eta, m)."""
+        return self._basis("V_eta")[self.n_states :]
+
+    # Coordinates
+
+    def encode(self, x: np.ndarray, eta: np.ndarray | None = None) -> np.ndarray:
+        """z of one sample (n,) or of many (T, n).
+
+        With `eta` the projection V^T S^-1 (x~ - mean). Without, the least-squares z that
+        reproduces x (minimum norm; directions below 1e-8 of the largest are left at zero).
+        """
+        V = self._basis("encode")
+        n = self.n_states
+        x = np.asarray(x, dtype=float)
+        if x.shape[-1] != n:
+            raise DimensionError(f"x must have {n} entries, got {x.shape[-1]}")
+        inverse = np.divide(1.0, self.scale, out=np.zeros_like(self.scale), where=self.scale > 0)
+        centred = (x - self.mean[:n]) * inverse[:n]
+        if eta is None:
+            if n == len(V):
+                return centred @ V
+            flat = np.atleast_2d(centred)
+            z = sla.lstsq(V[:n], flat.T, cond=1e-8)[0].T
+            return z.reshape(*x.shape[:-1], self.order)
+        eta = np.asarray(eta, dtype=float)
+        if eta.shape[-1] != len(V) - n:
+            raise DimensionError(f"eta must have {len(V) - n} entries, got {eta.shape[-1]}")
+        return centred @ V[:n] + ((eta - self.mean[n:]) * inverse[n:]) @ V[n:]
+
+    def reconstruct(self, z: np.ndarray) -> np.ndarray:
+        """x (n,) or (T, n) from z (m,) or (T, m)."""
+        n = self.n_states
+        V = self._basis("reconstruct")
+        return self.mean[:n] + (np.asarray(z) @ V[:n].T) * self.scale[:n]
+
+    def reconstruct_eta(self, z: np.ndarray) -> np.ndarray:
+        """eta (n_eta,) or (T, n_eta) from z."""
+        n = self.n_states
+        V = self._basis("reconstruct_eta")
+        return self.mean[n:] + (np.asarray(z) @ V[n:].T) * self.scale[n:]
+
+    # Dynamics
+
+    def step_matrices(self, dt: float | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(A_d, B_d, b_d) of z+ = A_d z + B_d c + b_d over one step of dt seconds.
+
+        A step model has only its own step; a continuous model takes any (zero-order hold).
+        """
+        if self.dt is not None:
+            if dt is not None and abs(dt - self.dt) > 1e-9 * self.dt:
+                raise ParameterError(f"this model has a step of {self.dt:g} s, not {dt:g} s")
+            return np.eye(self.order) + self.dt * self.A, self.dt * self.B, self.dt * self.offset
+        if dt is None:
+            raise ParameterError("a continuous model needs dt for its step matrices")
+        return _hold(self.A, self.B, self.offset, dt)
+
+    def continuous_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(A_c, B_c, b_c) of z' = A_c z + B_c c + b_c.
+
+        A step model is inverted under zero-order hold, log [[I + dt A, dt B, dt b], [0, I]] / dt,
+        which is refused where I + dt A has an eigenvalue on the closed negative real axis: no
+        real continuous model steps like that.
+        """
+        if self.dt is None:
+            return self.A, self.B, self.offset
+        m = self.order
+        step = np.eye(m) + self.dt * self.A
+        eigenvalues = sla.eigvals(step)
+        bad = (eigenvalues.real <= 0) & (
+            np.abs(eigenvalues.imag) <= 1e-12 * np.abs(eigenvalues).max(initial=1.0)
+        )
+        if bad.any():
+            raise ParameterError(
+                f"no continuous model: I + dt A has {int(bad.sum())} eigenvalue(s) <= 0, the "
+                f"first {eigenvalues[bad][0].real:.3g}; use plant(discrete=True) or a lower order"
+            )
+        extra = np.column_stack([self.B, self.offset])
+        k = extra.shape[1]
+        whole = np.block([[step, self.dt * extra], [np.zeros((k, m)), np.eye(k)]])
+        log = sla.logm(whole)
+        if np.iscomplexobj(log):
+            log = log.real
+        back = sla.expm(log)
+        if np.linalg.norm(back - whole) > 1e-6 * np.linalg.norm(whole):
+            raise ParameterError(
+                "the matrix logarithm of this step is inaccurate; use plant(discrete=True)"
+            )
+        log /= self.dt
+        return log[:m, :m], log[:m, m : m + k - 1], log[:m, -1]
+
+    def poles(self) -> np.ndarray:
+        """Continuous poles (m,), 1/s: eig(A), or log(eig(I + dt A))/dt of a step model."""
+        if self.dt is None:
+            return sla.eigvals(self.A)
+        step = sla.eigvals(np.eye(self.order) + self.dt * self.A).astype(complex)
+        with np.errstate(divide="ignore"):
+            return np.log(step) / self.dt
+
+    def growth(self) -> float:
+        """Spectral abscissa, 1/s: largest real part of the continuous poles."""
+        return float(self.poles().real.max())
+
+    def predict(self, z0: np.ndarray, u: np.ndarray | None, t: np.ndarray) -> np.ndarray:
+        """Roll the model out from z0 (m,) at the times t (T,); returns z (T, m).
+
+        Parameters
+        ----------
+        u : array (T - 1, n_c) or (n_c,) or None
+            Commands, held over each interval; None for zero.
+        t : array (T,)
+            s. For a step model on its grid, otherwise refused.
+
+        Raises
+        ------
+        IntegrationError
+            When the model grows beyond 1e150 times its start: time, norm and rate are given.
+        """
+        z0 = np.asarray(z0, dtype=float)
+        t = np.asarray(t, dtype=float)
+        if z0.shape != (self.order,):
+            raise DimensionError(f"z0 must have shape ({self.order},), got {z0.shape}")
+        if not (np.all(np.isfinite(z0)) and np.all(np.isfinite(t))):
+            raise DataError("z0 or t holds NaN or inf")
+        steps = np.diff(t)
+        if np.any(steps <= 0):
+            raise DataError("t must increase")
+        n_c = self.B.shape[1]
+        c = np.zeros((len(steps), n_c))
+        if u is not None:
+            given = np.asarray(u, dtype=float)
+            if given.shape not in ((n_c,), (len(steps), n_c)):
+                raise DimensionError(f"u must be ({len(steps)}, {n_c}) or ({n_c},), got {given.shape}")
+            c[:] = given
+        if not np.all(np.isfinite(c)):
+            raise DataError("u holds NaN or inf")
+        out = np.empty((len(t), self.order))
+        out[0] = z0
+        if self.dt is not None:
+            counts = steps / self.dt
+            if np.any(np.abs(counts - np.round(counts)) > 1e-6) or np.any(np.round(counts) < 1):
+                raise ParameterError(
+                    f"t must lie on the model's grid of {self.dt:g} s; got intervals from "
+                    f"{steps.min():g} to {steps.max():g} s"
+                )
+            A, B, b = self.step_matrices()
+            repeats = np.round(counts).astype(int)
+        else:
+            repeats = np.ones(len(steps), int)
+        z = z0.copy()
+        held: dict[float, tuple] = {}
+        limit = 1e150 * max(1.0, float(np.abs(z0).max(initial=0.0)))
+        for k, repeat in enumerate(repeats):
+            if self.dt is None:
+                key = round(float(steps[k]), 12)
+                if key not in held:
+                    held[key] = self.step_matrices(float(steps[k]))
+                A, B, b = held[key]
+            drive = B @ c[k] + b
+            for _ in range(repeat):
+                z = A @ z + drive
+            out[k + 1] = z
+            if k % 64 == 0 or k == len(repeats) - 1:
+                largest = float(np.abs(z).max(initial=0.0))
+                if not largest < limit:
+                    raise IntegrationError(
+                        f"the latent model diverges: spectral abscissa {self.growth():.3g} 1/s; "
+                        "use a lower order or a shorter horizon",
+                        time=float(t[k + 1]),
+                        state_norm=largest if np.isfinite(largest) else float("inf"),
+                        step=float(steps[k]),
+                    )
+        return out
+
+    # Control
+
+    def plant(
+        self,
+        *,
+        discrete: bool = False,
+        output: np.ndarray | None = None,
+        output_names: Sequence[str] | None = None,
+    ) -> Any:
+        """The model as `control.StateSpace` with named states, inputs and outputs.
+
+        Parameters
+        ----------
+        discrete : bool
+            Keep a step model's own step; by default it is made continuous (dt = 0), see
+            `continuous_matrices`.
+        output : (p, m), optional
+            Output matrix; default the latent states themselves.
+        """
+        import control
+
+        if discrete and self.dt is None:
+            raise ParameterError("a continuous model has no step of its own; use control.c2d")
+        if discrete:
+            A, B, _ = self.step_matrices()
+        else:
+            A, B, _ = self.continuous_matrices()
+        C = np.eye(self.order) if output is None else np.atleast_2d(np.asarray(output, float))
+        if C.shape[1] != self.order:
+            raise DimensionError(f"output must have {self.order} columns, got {C.shape}")
+        states = [f"z[{i}]" for i in range(self.order)]
+        if output_names is not None:
+            outputs = list(output_names)
+        else:
+            outputs = states if output is None else [f"y[{i}]" for i in range(len(C))]
+        return control.ss(
+            A,
+            B,
+            C,
+            np.zeros((len(C), B.shape[1])),
+            self.dt if discrete else 0,
+            states=states,
+            inputs=list(self.input_names),
+            outputs=outputs,
+            name=f"plant_m{self.order}",
+        )
+
+    # Files
+
+    def save(self, path: str | Path) -> Path:
+        """Write arrays, names and card to an npz (schema version 1), atomically; never pickle."""
+        arrays = {k: getattr(self, k) for k in _ARRAYS if getattr(self, k) is not None}
+        arrays |= {f"block {k}": v for k, v in self.blocks.items()}
+        if self.sensor is not None:
+            arrays |= {f"sensor {k}": v for k, v in self.sensor.arrays().items()}
+        metadata = {
+            "dt": self.dt,
+            "n_states": self.n_states,
+            "input_names": list(self.input_names),
+            "states": _layout_table(self.states),
+            "auxiliaries": _layout_table(self.auxiliaries),
+            "card": None if self.card is None else self.card.table(),
+            "notes": dict(self.notes),
+        }
+        return save_archive(path, _KIND, _VERSION, arrays, metadata)
+
+    @classmethod
+    def load(cls, path: str | Path) -> LatentModel:
+        """Read back a saved model; FileFormatError for anything else."""
+        arrays, meta = load_archive(path, _KIND, _VERSION)
+        try:
+            model = cls(
+                **{k: arrays[k] for k in _ARRAYS if k in arrays},
+                dt=meta["dt"],
+                n_states=meta["n_states"],
+                blocks={k[6:]: v for k, v in arrays.items() if k.startswith("block ")},
+                states=_layout_from(meta["states"]),
+                auxiliaries=_layout_from(meta["auxiliaries"]),
+                input_names=tuple(meta["input_names"]),
+                card=None if meta["card"] is None else Card(**meta["card"]),
+                notes=meta["notes"],
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
+        found = {k[7:]: v for k, v in arrays.items() if k.startswith("sensor ")}
+        if found:
+            model = dataclasses.replace(model, sensor=StiffnessSensor(**found))
+        return model
+
+    def __str__(self) -> str:
+        kind = "continuous" if self.dt is None else f"step of {self.dt:g} s"
+        head = (
+            f"LatentModel: order {self.order}, {kind}, {len(self.input_names)} inputs, "
+            f"spectral abscissa {self.growth():.3g} 1/s"
+        )
+        return head if self.card is None else f"{head}\n{self.card}"
+
+
+def _hold(
+    A: np.ndarray, B: np.ndarray, b: np.ndarray, dt: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Zero-order hold over dt by one matrix exponential."""
+    m, k = A.shape[0], B.shape[1] + 1
+    whole = np.zeros((m + k, m + k))
+    whole[:m, :m], whole[:m, m:-1], whole[:m, -1] = A, B, b
+    step = sla.expm(dt * whole)
+    return step[:m, :m], step[:m, m:-1], step[:m, -1]
+
+
+def _layout_table(layout: Layout | None) -> list | None:
+    if layout is None:
+        return None
+    return [[b.name, list(b.shape), b.unit, b.role, b.kind] for b in layout]
+
+
+def _layout_from(table: list | None) -> Layout | None:
+    if table is None:
+        return None
+    return Layout([Block(n, tuple(s), u, r, k) for n, s, u, r, k in table])

@@ -1,0 +1,147 @@
+"""The sensor: the sensed direction d by ridge regression on the latent state.
+
+    d ~ K_d [1; z]        |d| = 1 after normalisation        [thesis eq. 84]
+
+The thesis's regressors [P_F z; P_c z] are linear in z and rank-deficient together, so z itself
+is used (theory.md 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.errors import DataError, DimensionError
+
+
+@dataclass(frozen=True, eq=False)
+class StiffnessSensor:
+    """Linear read-out of the sensed direction.
+
+    Parameters
+    ----------
+    K_d : (3, 1 + m)
+        Intercept first.
+    ridge : float
+        Penalty on standardised regressors, chosen by leaving out one run at a time.
+    training_error, held_out_error, constant_error : float
+        Mean angle error in deg: on training runs, on held-out runs (NaN when there were none),
+        and of the best constant direction on the same runs.
+    """
+
+    K_d: np.ndarray
+    ridge: float = 0.0
+    training_error: float = float("nan")
+    held_out_error: float = float("nan")
+    constant_error: float = float("nan")
+
+    def __post_init__(self) -> None:
+        K_d = np.array(self.K_d, dtype=float)
+        if K_d.ndim != 2 or K_d.shape[0] != 3 or K_d.shape[1] < 2:
+            raise DimensionError(f"K_d must be (3, 1 + m), got {K_d.shape}")
+        if not np.all(np.isfinite(K_d)):
+            raise DataError("K_d holds NaN or inf")
+        object.__setattr__(self, "K_d", K_d)
+        for name in ("ridge", "training_error", "held_out_error", "constant_error"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+
+    @property
+    def S_d(self) -> np.ndarray:
+        """K_d without its intercept column (3, m)."""
+        return self.K_d[:, 1:]
+
+    def raw(self, z: np.ndarray) -> np.ndarray:
+        """K_d [1; z], not normalised: (3,) or (T, 3)."""
+        return self.K_d[:, 0] + np.asarray(z) @ self.S_d.T
+
+    def direction(self, z: np.ndarray) -> np.ndarray:
+        """Unit direction; a raw value of zero stays zero (the cell then does not turn)."""
+        d = self.raw(z)
+        norm = np.linalg.norm(d, axis=-1, keepdims=True)
+        return np.divide(d, norm, out=np.zeros_like(d), where=norm > 0)
+
+    def arrays(self) -> Mapping[str, np.ndarray]:
+        """Plain arrays for a file."""
+        return {
+            "K_d": self.K_d,
+            "ridge": np.array(self.ridge),
+            "training_error": np.array(self.training_error),
+            "held_out_error": np.array(self.held_out_error),
+            "constant_error": np.array(self.constant_error),
+        }
+
+
+def angle_error(predicted: np.ndarray, true: np.ndarray) -> float:
+    """Mean angle between rows, deg; a zero prediction counts as 90 deg."""
+    norm = np.linalg.norm(predicted, axis=1) * np.linalg.norm(true, axis=1)
+    cosine = np.divide((predicted * true).sum(axis=1), norm, out=np.zeros(len(true)), where=norm > 0)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean())
+
+
+def fit_sensor(
+    latent: list[np.ndarray],
+    directions: list[np.ndarray],
+    test_latent: list[np.ndarray] | None = None,
+    test_directions: list[np.ndarray] | None = None,
+    ridges: tuple[float, ...] = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0),
+) -> StiffnessSensor:
+    """Ridge regression of d on [1; z], the penalty chosen by leaving out one run at a time.
+
+    Parameters
+    ----------
+    latent : list of (T_i, m)
+        Latent samples of each run.
+    directions : list of (T_i, 3)
+        Sensed unit directions at the same samples.
+    test_latent, test_directions : optional
+        Held-out runs for the reported error.
+    ridges : tuple of float
+        Penalties tried, relative to the number of samples.
+    """
+    if not latent or len(latent) != len(directions):
+        raise DataError("a sensor needs as many runs of latent samples as of directions")
+
+    def score(ridge: float) -> float:
+        if len(latent) == 1:
+            return angle_error(_predict(_ridge(latent, directions, ridge), latent[0]), directions[0])
+        total = 0.0
+        for i in range(len(latent)):
+            others = [k for k in range(len(latent)) if k != i]
+            K = _ridge([latent[k] for k in others], [directions[k] for k in others], ridge)
+            total += angle_error(_predict(K, latent[i]), directions[i])
+        return total
+
+    best = min(ridges, key=score)
+    K_d = _ridge(latent, directions, best)
+    mean = np.concatenate(directions).mean(axis=0)
+    shown_z, shown_d = (
+        (test_latent, test_directions) if test_latent and test_directions else (latent, directions)
+    )
+    truth = np.concatenate(shown_d)
+    return StiffnessSensor(
+        K_d,
+        best,
+        angle_error(_predict(K_d, np.concatenate(latent)), np.concatenate(directions)),
+        angle_error(_predict(K_d, np.concatenate(shown_z)), truth) if test_latent else float("nan"),
+        angle_error(np.tile(mean, (len(truth), 1)), truth),
+    )
+
+
+def _predict(K_d: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return K_d[:, 0] + z @ K_d[:, 1:].T
+
+
+def _ridge(latent: list[np.ndarray], directions: list[np.ndarray], ridge: float) -> np.ndarray:
+    """K_d (3, 1 + m): standardised regressors, penalty ridge * samples, intercept free."""
+    Z, D = np.concatenate(latent), np.concatenate(directions)
+    center, spread = Z.mean(axis=0), Z.std(axis=0)
+    spread[spread == 0] = 1.0
+    X, mean = (Z - center) / spread, D.mean(axis=0)
+    m = X.shape[1]
+    stacked = np.vstack([X, np.sqrt(ridge * len(X)) * np.eye(m)])
+    K = sla.lstsq(stacked, np.vstack([D - mean, np.zeros((m, 3))]), cond=1e-13)[0]
+    slope = (K / spread[:, None]).T
+    return np.column_stack([mean - slope @ center, slope])

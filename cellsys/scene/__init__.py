@@ -1,0 +1,19 @@
+"""Scene files: schema, effect registry, build(scene) -> full-order system, ensembles."""
+
+from cellsys.scene.build import build
+from cellsys.scene.ensemble import run_ensemble, run_scene, training_scenes
+from cellsys.scene.parse import load_scene, scene_schema
+from cellsys.scene.scene import CellScene, MatrixScene, Scene, Training
+
+__all__ = [
+    "CellScene",
+    "MatrixScene",
+    "Scene",
+    "Training",
+    "build",
+    "load_scene",
+    "run_ensemble",
+    "run_scene",
+    "scene_schema",
+    "training_scenes",
+]

@@ -1,0 +1,77 @@
+"""build(scene): from a scene to the full-order system."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from cellsys.errors import BudgetError
+from cellsys.integrate.simulate import available_memory
+from cellsys.mechanics.effects.protocol import CellBody
+from cellsys.mechanics.geometry.disc import DENSITY, Disc, disc
+from cellsys.mechanics.geometry.membrane import sphere
+from cellsys.mechanics.spreading import CellSpec, SpreadingSystem, build_spreading
+from cellsys.scene.scene import MatrixScene, Scene
+
+START_GAP = 0.05  # um between the lowest point of a cell and the top of the matrix
+_BYTES_PER_NODE = 30_000.0  # fibres, assembly, factors and one state, measured at 2000 nodes
+
+
+def build(scene: Scene) -> SpreadingSystem:
+    """The full-order system of a scene: only the effects that the scene names.
+
+    Raises
+    ------
+    BudgetError
+        When the matrix alone would not fit into memory.
+    """
+    matrix = _matrix(scene.matrix, scene.seed) if scene.matrix is not None else None
+    matrix_effects = {n: e for n, e in scene.effects.items() if e.acts_on == "matrix"}
+    cells = []
+    for k, cell in enumerate(scene.cells, start=1):
+        height = cell.radius + START_GAP
+        body = CellBody(
+            f"cell{k}",
+            sphere(cell.radius, (*cell.position, height)),
+            np.array([np.cos(cell.polarity), np.sin(cell.polarity), 0.0]),
+        )
+        effects = {
+            n: e for n, e in {**scene.effects, **cell.effects}.items() if e.acts_on == "cell"
+        }
+        cells.append(CellSpec(body, effects, cell.commands or scene.commands))
+    return build_spreading(tuple(cells), matrix, matrix_effects, scene.effects["drag"])
+
+
+def matrix_nodes(spec: MatrixScene) -> int:
+    """Number of matrix nodes a scene asks for."""
+    if spec.nodes is not None:
+        return spec.nodes
+    return round(DENSITY * np.pi * (0.5 * spec.diameter) ** 2 * spec.thickness)
+
+
+def _matrix(spec: MatrixScene, seed: int) -> Disc:
+    need, free = _BYTES_PER_NODE * matrix_nodes(spec), available_memory()
+    if need > free:
+        raise BudgetError(
+            f"a matrix of {matrix_nodes(spec)} nodes needs about {need / 1e9:.1f} GB and "
+            f"{free / 1e9:.1f} GB are free; make the disc smaller or set matrix.nodes"
+        )
+    built = disc(
+        0.5 * spec.diameter,
+        spec.modulus,
+        thickness=spec.thickness,
+        n_nodes=spec.nodes,
+        seed=seed if spec.seed is None else spec.seed,
+    )
+    if spec.inclusion is None and spec.gradient is None:
+        return built
+    middle = 0.5 * (built.position[built.fibres[:, 0]] + built.position[built.fibres[:, 1]])
+    factor = np.ones(len(middle))
+    if spec.gradient is not None:
+        along = np.array([np.cos(spec.gradient.direction), np.sin(spec.gradient.direction)])
+        factor *= 1.0 + spec.gradient.per_um * (middle[:, :2] @ along)
+    if spec.inclusion is not None:
+        inside = np.hypot(*(middle[:, :2] - spec.inclusion.center).T) < spec.inclusion.radius
+        factor[inside] *= spec.inclusion.factor
+    return dataclasses.replace(built, stiffness=factor * built.stiffness)

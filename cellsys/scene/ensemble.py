@@ -1,0 +1,150 @@
+"""Runs of scenes: cached on disk, resumable, several at a time."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from cellsys.integrate.linearly_implicit import LinearlyImplicit
+from cellsys.integrate.simulate import record_shapes, simulate, trajectory_of
+from cellsys.mechanics.commands import Commands, History
+from cellsys.scene.build import build
+from cellsys.scene.scene import Scene
+from cellsys.store.runs import RunReader, RunWriter
+from cellsys.system import Event
+from cellsys.trajectory import Trajectory
+
+
+def training_scenes(scene: Scene) -> tuple[list[Scene], list[Scene]]:
+    """Open-loop scenes for training and for held-out tests.
+
+    Training: `runs` constant headings, evenly spread. Held out: `held_out` headings half-way
+    between trained ones. The polarity law is replaced by the command, the sensor stays, so that
+    the direction it reports is recorded.
+    """
+    plan = scene.training
+    spacing = 2.0 * np.pi / plan.runs
+    trained = [spacing * k for k in range(plan.runs)]
+    between = [
+        spacing * ((k * plan.runs) // max(plan.held_out, 1) + 0.5) for k in range(plan.held_out)
+    ]
+    effects = {n: e for n, e in scene.effects.items() if n != "polarity"}
+
+    def at(angle: float, label: str) -> Scene:
+        heading = History((0.0,), (angle,))
+        return dataclasses.replace(
+            scene,
+            name=f"{scene.name}: {label} {np.degrees(angle):.1f} deg",
+            duration=plan.duration,
+            sample=min(plan.sample, plan.duration),
+            effects=effects,
+            cells=tuple(dataclasses.replace(c, polarity=angle, commands=None) for c in scene.cells),
+            commands=Commands(heading, scene.commands.amplitude),
+        )
+
+    return [at(a, "training") for a in trained], [at(a, "held out") for a in between]
+
+
+def run_scene(
+    scene: Scene, folder: str | Path | None = None, progress: Callable[[float], None] | None = None
+) -> Trajectory:
+    """Simulate a scene at its own step; with a folder, cached there and resumable.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to run.
+    folder : path, optional
+        Parent of the cached runs; the run's own folder is named by the scene's fingerprint. A
+        complete run is read back, a partial one is continued, bit for bit.
+    """
+    system = build(scene)
+    if folder is None:
+        return simulate(
+            system,
+            LinearlyImplicit(step=scene.step),
+            scene.times,
+            seed=scene.seed,
+            progress=progress,
+            label=scene.name,
+        )
+    target = Path(folder) / scene.fingerprint()[:20]
+    if not (target / "run.json").exists():
+        writer = RunWriter(
+            target,
+            record_shapes(system, scene.times, True),
+            {"scene": scene.canonical(), "fingerprint": scene.fingerprint()},
+        )
+        run = simulate(
+            system,
+            LinearlyImplicit(step=scene.step),
+            scene.times,
+            seed=scene.seed,
+            sink=writer,
+            progress=progress,
+        )
+        writer.finish(
+            {"statistics": dict(run.statistics), "events": [list(e) for e in run.events]}
+        )
+    reader = RunReader(target)
+    return trajectory_of(
+        system,
+        scene.times,
+        reader.arrays,
+        tuple(Event(*e) for e in reader.metadata["events"]),
+        reader.metadata["statistics"],
+        scene.name,
+    )
+
+
+def _run_into(scene: Scene, folder: str) -> None:
+    run_scene(scene, folder)
+
+
+def run_ensemble(
+    scenes: Sequence[Scene],
+    folder: str | Path,
+    *,
+    workers: int = 2,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Trajectory]:
+    """Run many scenes in `workers` processes; the same numbers whatever their number.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+        Each is run once, even when it is listed twice.
+    folder : path
+        Run cache; trajectories come back memory-mapped from it.
+    progress : callable, optional
+        Called with (runs done, runs in all).
+    """
+    pending = {s.fingerprint(): s for s in scenes}
+    missing = [
+        s for key, s in pending.items() if not (Path(folder) / key[:20] / "run.json").exists()
+    ]
+    done = len(pending) - len(missing)
+    if progress is not None:
+        progress(done, len(pending))
+    if workers <= 1 or len(missing) <= 1:
+        for scene in missing:
+            run_scene(scene, folder)
+            done += 1
+            if progress is not None:
+                progress(done, len(pending))
+    else:
+        with ProcessPoolExecutor(min(workers, len(missing)), get_context("spawn")) as pool:
+            waiting = {pool.submit(_run_into, s, str(folder)) for s in missing}
+            while waiting:
+                finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    future.result()
+                    done += 1
+                if progress is not None:
+                    progress(done, len(pending))
+    return [run_scene(s, folder) for s in scenes]

@@ -1,0 +1,203 @@
+"""`Scene`: what to simulate, as frozen data with checked values."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import SceneError
+from cellsys.mechanics.commands import Commands, History
+from cellsys.mechanics.effects.protocol import Effect
+from cellsys.store.hashing import fingerprint
+
+
+@dataclass(frozen=True)
+class Inclusion:
+    """A round stiff (factor > 1) or soft spot: centre and radius in um."""
+
+    center: tuple[float, float]
+    radius: float
+    factor: float
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """Stiffness rising along `direction` (rad) by the share `per_um` of its mean per um."""
+
+    direction: float
+    per_um: float
+
+
+@dataclass(frozen=True)
+class MatrixScene:
+    """The matrix: a disc of fibres; lengths um, modulus pN/um^2 (Pa)."""
+
+    kind: str = "disc"
+    diameter: float = 60.0
+    thickness: float = 2.0
+    modulus: float = 5000.0
+    nodes: int | None = None
+    seed: int | None = None
+    inclusion: Inclusion | None = None
+    gradient: Gradient | None = None
+
+
+@dataclass(frozen=True)
+class CellScene:
+    """One cell: position of its centre in the plane (um), polarity angle (rad), radius (um)."""
+
+    position: tuple[float, float] = (0.0, 0.0)
+    polarity: float = 0.0
+    radius: float = 8.0
+    effects: Mapping[str, Effect] = field(default_factory=dict)
+    commands: Commands | None = None
+
+
+@dataclass(frozen=True)
+class Training:
+    """The ensemble a reduced model is learned from.
+
+    `runs` constant headings spread over the circle, `held_out` further ones between them, each
+    of `duration` s sampled every `sample` s.
+    """
+
+    runs: int = 8
+    held_out: int = 2
+    duration: float = 1500.0
+    sample: float = 5.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene: matrix, cells, the effects that act, commands, and how long.
+
+    Built by `load_scene` or `Scene.parse`; change it with `dataclasses.replace`. Times in s,
+    lengths in um, angles in rad. `cells` may be empty (a passive matrix) and `matrix` None (a
+    free membrane), not both.
+
+    Raises
+    ------
+    SceneError
+        Naming the contradiction: an effect without what it needs, cells that overlap or lie
+        outside the disc, a duration of zero.
+    """
+
+    name: str
+    duration: float
+    sample: float
+    effects: Mapping[str, Effect]
+    cells: tuple[CellScene, ...] = ()
+    matrix: MatrixScene | None = None
+    commands: Commands = field(default_factory=Commands)
+    training: Training = field(default_factory=Training)
+    seed: int = 0
+    step: float = 0.5
+
+    @staticmethod
+    def parse(table: Mapping[str, Any]) -> Scene:
+        """A scene from a mapping shaped like a scene file (quantities as strings with units)."""
+        from cellsys.scene.parse import parse_scene
+
+        return parse_scene(table)
+
+    def __post_init__(self) -> None:
+        for name in ("duration", "sample", "step"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise SceneError(f"{name} must be > 0 s, got {value!r}")
+        if self.sample > self.duration:
+            raise SceneError(
+                f"sample = {self.sample:g} s is longer than duration = {self.duration:g} s"
+            )
+        if not self.cells and self.matrix is None:
+            raise SceneError("a scene needs [[cells]] or a [matrix]")
+        if "drag" not in self.effects:
+            raise SceneError("effects.drag is missing: without drag nothing has a rate; add drag = {}")
+        self._check_effects()
+        self._check_places()
+
+    def _check_effects(self) -> None:
+        for index, cell in enumerate(self.cells or (CellScene(),)):
+            present = {**self.effects, **cell.effects}
+            where = f"cells[{index}].effects" if cell.effects else "effects"
+            for name, effect in present.items():
+                for need in effect.needs:
+                    if need not in present:
+                        raise SceneError(f"{where}.{name} needs {need}; add {need} = {{}} to it")
+                if effect.acts_on == "cell" and not self.cells:
+                    raise SceneError(f"effects.{name} acts on a cell, and the scene has no [[cells]]")
+                if effect.acts_on == "matrix" and self.matrix is None:
+                    raise SceneError(f"effects.{name} acts on the matrix, and there is no [matrix]")
+            for name, effect in cell.effects.items():
+                if effect.acts_on != "cell":
+                    raise SceneError(
+                        f"{where}.{name} does not act on a single cell; move it to [effects]"
+                    )
+        if (self.commands.heading or self.commands.amplitude) and "lamellipodium" not in self.effects:
+            raise SceneError("commands steer the lamellipodium, and effects.lamellipodium is missing")
+
+    def _check_places(self) -> None:
+        for i, a in enumerate(self.cells):
+            if not a.radius > 0:
+                raise SceneError(f"cells[{i}].radius must be > 0 um, got {a.radius!r}")
+            if self.matrix is not None:
+                reach = float(np.hypot(*a.position)) + a.radius
+                if reach > 0.5 * self.matrix.diameter:
+                    raise SceneError(
+                        f"cells[{i}] reaches {reach:.3g} um from the centre, outside the disc of "
+                        f"radius {0.5 * self.matrix.diameter:.3g} um; move it or enlarge the matrix"
+                    )
+            for j in range(i):
+                b = self.cells[j]
+                gap = float(np.hypot(a.position[0] - b.position[0], a.position[1] - b.position[1]))
+                if gap < a.radius + b.radius:
+                    raise SceneError(
+                        f"cells[{j}] and cells[{i}] overlap: centres {gap:.3g} um apart, radii "
+                        f"{b.radius:g} + {a.radius:g} um; move them apart"
+                    )
+
+    @property
+    def times(self) -> np.ndarray:
+        """Sample times, s: 0, sample, ..., duration."""
+        n = max(1, round(self.duration / self.sample))
+        return np.linspace(0.0, n * self.sample, n + 1)
+
+    def canonical(self) -> dict[str, Any]:
+        """Everything the result depends on, as plain values in internal units."""
+        table = {f.name: _plain(getattr(self, f.name)) for f in dataclasses.fields(self)}
+        return table
+
+    def fingerprint(self) -> str:
+        """Hash of `canonical` and of the cellsys version: the key of the run cache.
+
+        The name and the training plan do not enter: they do not change a run.
+        """
+        table = self.canonical()
+        for key in ("name", "training"):
+            table.pop(key)
+        return fingerprint(table, _version())
+
+
+def _version() -> str:
+    from cellsys.version import __version__
+
+    return __version__
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Effect):
+        fields = {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {"effect": value.name, **fields}
+    if isinstance(value, History):
+        return {"times": list(value.times), "values": list(value.values)}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {k: _plain(v) for k, v in sorted(value.items())}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    return value
