@@ -18,7 +18,7 @@ from scipy.linalg import lapack
 
 from cellsys.response.realization import EPS
 
-BLOCK = 48
+BLOCK = 32
 _LOG_RANGE = 400.0  # natural log of the growth allowed between two rescalings
 _BIG = 1e60
 

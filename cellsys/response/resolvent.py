@@ -19,7 +19,8 @@ from cellsys.response.realization import EPS, Realization, balance
 
 # One Schur form costs about as much as eight Hessenberg forms.
 _CHANNELS = 8
-_CHUNK = 16_000_000  # bytes of state columns held at a time
+_CHUNK = 500  # points at a time: measured best for n = 50..1000, rows of 16 kB
+_BYTES = 64_000_000  # of state columns held at a time
 
 
 def s_plane(omega: np.ndarray, dt: float) -> np.ndarray:
@@ -88,7 +89,8 @@ class Resolvent:
         bound = np.empty((p, m, len(s))) if accuracy else None
         if min(p, m) == 0:
             return G, bound
-        step = max(64, _CHUNK // (16 * max(n, 1)))
+        channels = max(p, m) if self._form is not None else 1
+        step = max(16, min(_CHUNK, _BYTES // (16 * max(n, 1) * channels)))
         for lo in range(0, len(s), step):
             part = slice(lo, lo + step)
             route = self._sparse if self.system.is_sparse else self._dense
