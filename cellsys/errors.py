@@ -27,6 +27,10 @@ class DimensionError(CellsysError, ValueError):
     """Arrays do not fit together."""
 
 
+class CausalityError(CellsysError, ValueError):
+    """A bond graph has no computable set of equations; the message names the elements."""
+
+
 class DataError(CellsysError, ValueError):
     """Data hold NaN or inf, or too few samples for what is asked of them."""
 

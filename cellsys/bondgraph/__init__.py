@@ -1,0 +1,36 @@
+"""Bond graphs: elements and junctions by name -> (W_x, W_eta, eta(x), u) and an `OdeSystem`."""
+
+from cellsys.bondgraph.elements import (
+    GY,
+    TF,
+    C,
+    CField,
+    I,
+    Internal,
+    NodalEffort,
+    One,
+    R,
+    Se,
+    Sf,
+    Zero,
+)
+from cellsys.bondgraph.equations import Equations
+from cellsys.bondgraph.graph import Bond, BondGraph
+
+__all__ = [
+    "GY",
+    "TF",
+    "Bond",
+    "BondGraph",
+    "C",
+    "CField",
+    "Equations",
+    "I",
+    "Internal",
+    "NodalEffort",
+    "One",
+    "R",
+    "Se",
+    "Sf",
+    "Zero",
+]

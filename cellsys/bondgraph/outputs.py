@@ -1,0 +1,151 @@
+"""The outputs of all ports: what makes each of them, and its place in the vector y."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellsys.bondgraph.causality import EFFORT, FLOW, Causality
+from cellsys.bondgraph.elements import C, CField, I, Internal, NodalEffort, R, Se, Sf
+from cellsys.bondgraph.graph import BondGraph, Port, is_matrix
+from cellsys.bondgraph.quantities import dimension_of, read, state_units
+from cellsys.errors import DimensionError, ParameterError
+from cellsys.system import Block
+
+
+@dataclass(frozen=True)
+class Output:
+    """One output of a port: its place in y, and what makes it.
+
+    `kind` is ``source``, ``linear``, ``law``, ``memoryless``, ``dependent`` or ``rate``.
+    `constant` is the factor of a linear element's output on its state or input, as (n,) array or
+    sparse matrix; None where there is none.
+    """
+
+    index: int  # of the port, or -1 for the rate of an internal state
+    name: str
+    kind: str
+    quantity: str
+    place: slice
+    shape: tuple[int, ...]
+    constant: Any = None
+    source: bool = False
+
+
+def size_of(shape: tuple[int, ...]) -> int:
+    """Number of entries of an array of this shape."""
+    return int(np.prod(shape, dtype=int))
+
+
+def constant_of(graph: BondGraph, port: Port, quantity: str) -> tuple[str, np.ndarray]:
+    """(parameter name, values (n,)) of a linear R, C or I, in the graph's units; checked."""
+    element, shape = port.element, graph.shapes[port.bond]
+    names = {R: ("resistance", "conductance"), C: ("compliance", "stiffness"), I: ("inertance",)}
+    name = next(n for n in names[type(element)] if getattr(element, n) is not None)
+    label = f"{type(element).__name__} {element.name!r}: {name}"
+    expected = dimension_of(name, graph.domains[port.bond])
+    value = np.asarray(read(getattr(element, name), expected, graph.units, label))
+    try:
+        value = np.broadcast_to(value, shape).ravel() * 1.0
+    except ValueError:
+        raise DimensionError(f"{label} must fit shape {shape}, got {value.shape}") from None
+    least = "" if isinstance(element, R) else " and not 0"
+    if np.any(value < 0) or (least and np.any(value == 0)):
+        raise ParameterError(f"{label} must be >= 0{least}, got {value.min()!r}")
+    return name, value
+
+
+def _factor(graph: BondGraph, port: Port, quantity: str, kind: str) -> np.ndarray:
+    """Output of a linear element over its state (storage) or its input (others)."""
+    name, value = constant_of(graph, port, quantity)
+    if isinstance(port.element, R):
+        direct = (name == "resistance") == (quantity == EFFORT)
+    else:
+        # integral: e = q/compliance or k q, f = p/inertance; derivative: the other way round
+        direct = (name == "stiffness") == (kind == "linear")
+    if direct:
+        return value
+    return np.divide(1.0, value)
+
+
+def _kind(element: Any, kind: str, literal: bool) -> str:
+    if kind == "source":
+        return "source"
+    if kind == "dependent":
+        return "dependent"
+    if kind == "two-port":
+        return "memoryless" if is_matrix(element) else "law"
+    linear = getattr(element, "law", None) is None and getattr(element, "inverse", None) is None
+    if not linear or isinstance(element, (CField, NodalEffort)) or literal:
+        return "law"
+    return "memoryless" if isinstance(element, R) else "linear"
+
+
+def input_sign(port: Port, quantity: str) -> int:
+    """Sign of an element's input on its bond; see `elements`: f counts into C and R, e into I."""
+    if isinstance(port.element, I):
+        return port.sign if quantity == FLOW else 1
+    if isinstance(port.element, (C, CField, R)):
+        return port.sign if quantity == EFFORT else 1
+    return 1
+
+
+def output_sign(port: Port, quantity: str) -> int:
+    """Sign of a resistor's or dependent storage's output on its bond."""
+    if isinstance(port.element, (R, C)):
+        return port.sign if quantity == FLOW else 1
+    if isinstance(port.element, I):
+        return port.sign if quantity == EFFORT else 1
+    return 1
+
+
+def outputs_of(graph: BondGraph, causality: Causality, literal: bool) -> tuple[Output, ...]:
+    out: list[Output] = []
+    start = 0
+    for index, port in enumerate(graph.ports):
+        if index not in causality.outputs:
+            continue  # a side of a constant TF or GY: part of the junction structure
+        quantity, chosen = causality.outputs[index]
+        element, shape = port.element, graph.shapes[port.bond]
+        kind = _kind(element, chosen, literal)
+        constant = None
+        if isinstance(element, (R, C, I)) and element.law is None:
+            if getattr(element, "inverse", None) is None:
+                constant = _factor(graph, port, quantity, "dependent" if chosen == "dependent"
+                                   else "linear")  # fmt: skip
+        stop = start + size_of(shape)
+        name = port.name if kind == "source" else f"{port.name}.{quantity}"
+        if isinstance(element, NodalEffort):
+            name = port.name
+        out.append(
+            Output(index, name, kind, quantity, slice(start, stop), shape, constant,
+                   isinstance(element, (Se, Sf)))
+        )
+        start = stop
+    for element in graph.elements:
+        if isinstance(element, Internal):
+            stop = start + element.block.size
+            out.append(Output(-1, element.name, "rate", FLOW, slice(start, stop),
+                              element.block.shape))  # fmt: skip
+            start = stop
+    return tuple(out)
+
+
+def unit_of(graph: BondGraph, output: Output) -> str:
+    port = graph.ports[output.index]
+    return state_units(graph.domains[port.bond], graph.units)[0 if output.quantity == EFFORT else 1]
+
+
+def auxiliary_of(graph: BondGraph, output: Output) -> Block:
+    if output.kind == "rate":
+        block = graph.by_name[output.name].block
+        return Block(f"{block.name}.rate", block.shape, f"{block.unit}/s", block.role, "internal")
+    port = graph.ports[output.index]
+    role = "component"
+    for name, bonds in graph.junction_bonds.items():
+        position = getattr(graph.by_name[name], "position", None)
+        if isinstance(position, Block) and any(b == port.bond for b, _ in bonds):
+            role = position.role
+    return Block(output.name, output.shape, unit_of(graph, output), role, "rate")
