@@ -70,8 +70,10 @@ def set_apart(
         return Integrators(0, (), np.zeros((0, 0)), limit), np.zeros((0, 0))
     _, s, Vt = sla.svd(M)
     # A small singular value alone may only mean that M is far from normal.
-    slow = np.abs(sla.eigvals(M)) <= max(limit, 1e-6 * norm)
-    count = min(int(np.count_nonzero(s <= limit)), int(np.count_nonzero(slow)))
+    count = int(np.count_nonzero(s <= limit))
+    if count:
+        slow = np.abs(sla.eigvals(M)) <= max(limit, 1e-6 * norm)
+        count = min(count, int(np.count_nonzero(slow)))
     basis = Vt[n - count :].T
     share = np.linalg.norm(basis * np.abs(scale)[:, None], axis=1) if count else np.zeros(n)
     states = tuple(names[i] for i in np.flatnonzero(share > 0.1 * share.max(initial=0.0)))

@@ -33,6 +33,10 @@ class Loci:
     def __init__(self, system: Realization, omega: np.ndarray | None = None) -> None:
         self.system = system
         self._evaluate = Resolvent(system)
+        if system.n_inputs == 0:
+            self.omega, self.L = np.zeros(0), np.zeros((0, 0, 0), complex)
+            self.values, self.noise = np.zeros((0, 0), complex), np.zeros((0, 0))
+            return
         if omega is None:
             start = self._extended(grid.automatic(system))
             self.omega, _ = grid.refine(self._raw, start)

@@ -138,7 +138,7 @@ def _real_ends(loci: Loci) -> list[tuple[float, complex]]:
 
 
 def _disk(loci: Loci) -> tuple[float, float]:
-    """2 / max over the grid of |(I + L)^-1 (I - L)|, polished at the peak."""
+    """2 / max of |(I + L)^-1 (I - L)| over the grid, its two ends, and polished at the peak."""
     q = loci.L.shape[0]
     identity = np.eye(q)
 
@@ -163,6 +163,13 @@ def _disk(loci: Loci) -> tuple[float, float]:
         )
         if -best.fun > peak:
             omega, peak = float(np.exp(best.x)), float(-best.fun)
+    discrete = loci.system.is_discrete
+    top = np.pi / loci.system.dt if discrete else np.inf
+    ends = [(0.0, loci._evaluate.at(1.0 if discrete else 0.0))]
+    ends.append((top, loci._evaluate.at(-1.0) if discrete else loci.system.D))
+    for end, L in ends:
+        if np.all(np.isfinite(L)) and size(L) > peak * (1 + 1e-12):
+            omega, peak = end, size(L)
     return (2.0 / peak if peak > 0 else np.inf), omega
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -17,7 +17,7 @@ from cellsys.response.lyapunov import LyapunovCertificate, certificate
 from cellsys.response.poles import poles
 from cellsys.response.pseudospectra import Pseudospectra, abscissa, pseudospectra
 from cellsys.response.realization import balancing, realization
-from cellsys.response.roots import RootSet
+from cellsys.response.roots import RootSet, order
 from cellsys.response.singular import distance_to_boundary, schur_matrix
 from cellsys.response.spectrum import Spectrum, backward_error, spectrum
 
@@ -127,7 +127,7 @@ def _verdict(
     """Verdict and reason from the poles with bounds and the distance in balanced coordinates."""
     n = len(found.values)
     if n == 0:
-        return "stable", "no poles besides the integrators" if chain >= 0 else "no states"
+        return "stable", "no poles besides integrators"
     excess = _excess(found, discrete=discrete)
     i = int(np.argmax(excess))
     axis = "the unit circle" if discrete else "the imaginary axis"
@@ -198,16 +198,15 @@ def stability(
     balanced, scale = balancing(system.A)
     apart, rest = set_apart(balanced, scale, system.states, integrator_tol, discrete=discrete)
     B = rest.T @ balanced @ rest
-    chain, _ = set_apart(
-        B, np.ones(len(B)), tuple("" for _ in B), integrator_tol, discrete=discrete
-    )
+    chain = 0
+    if apart.count:  # what is left may hold an integrator of the integrators
+        blank = ("",) * len(B)
+        chain = set_apart(B, np.ones(len(B)), blank, integrator_tol, discrete=discrete)[0].count
     found = spectrum(B)
     delta = backward_error(len(balanced), float(sla.norm(balanced)) if len(balanced) else 0.0)
     T = schur_matrix(B)
     low, high, point = distance_to_boundary(B, found.values, discrete=discrete, T=T)
-    verdict, reason = _verdict(
-        found, low, delta, discrete=discrete, chain=chain.count if apart.count else 0
-    )
+    verdict, reason = _verdict(found, low, delta, discrete=discrete, chain=chain)
     if apart.count:
         reason += f"; set apart: {apart.count} integrators"
     excess = _excess(found, discrete=discrete)
@@ -255,11 +254,20 @@ def stability(
         },
         certificate=proof,
         integrators=apart,
-        poles=poles(system),
+        poles=poles(system) if apart.count else _pole_set(found, system.dt),
         coordinates=coordinates,
         dt=system.dt,
         A=A,
     )
+
+
+def _pole_set(found: Spectrum, dt: float) -> RootSet:
+    rank = order(found.values)
+    detail = replace(
+        found, values=found.values[rank], condition=found.condition[rank],
+        bound=found.bound[rank], cluster=found.cluster[rank],
+    )
+    return RootSet(detail.values, kind="pole", dt=dt, detail=detail)
 
 
 def _numerical(A: np.ndarray, *, discrete: bool) -> float:
