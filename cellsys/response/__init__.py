@@ -17,7 +17,7 @@ from cellsys.response.locus import RootLocus, root_locus
 from cellsys.response.loop import ErrorSystem, Sensitivity, error_system, sensitivity
 from cellsys.response.lyapunov import LyapunovCertificate
 from cellsys.response.margins import Margins, margins
-from cellsys.response.norms import SystemNorm, h2_norm, hinf_norm
+from cellsys.response.norms import SystemNorm, h2_norm, hinf_norm, norm
 from cellsys.response.participation import Participation, participation
 from cellsys.response.poles import poles
 from cellsys.response.pseudospectra import Pseudospectra, pseudospectra, pseudospectral_abscissa
@@ -67,6 +67,7 @@ __all__ = [
     "hinf_norm",
     "impulse_response",
     "margins",
+    "norm",
     "observability_gramian",
     "participation",
     "poles",

@@ -112,11 +112,12 @@ def require_stable(system: Realization, what: str) -> None:
         )
 
 
-def _factors(b: Balanced, *, discrete: bool) -> tuple[np.ndarray, np.ndarray]:
+def factors(b: Balanced, *, discrete: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Factors of the controllability and observability Gramians, in balanced coordinates."""
     return factor(b.A, b.B, discrete=discrete), factor(b.A.T, b.C.T, discrete=discrete)
 
 
-def _plain(b: Balanced) -> Balanced:
+def unscaled(b: Balanced) -> Balanced:
     """Undo the scaling of inputs and outputs, which Gramians depend on."""
     ones = np.ones
     return Balanced(b.A, b.B / b.right[None, :], b.C / b.left[:, None],
@@ -157,7 +158,7 @@ def controllability_gramian(sys: Any) -> Gramian:
     """
     system = realization(sys).dense()
     require_stable(system, "a Gramian")
-    b = _plain(balance(system))
+    b = unscaled(balance(system))
     F = factor(b.A, b.B, discrete=system.is_discrete)
     residual = _residual(b.A, F, b.B, discrete=system.is_discrete)
     F = b.states[:, None] * F
@@ -169,11 +170,28 @@ def observability_gramian(sys: Any) -> Gramian:
 
         A^T X + X A + C^T C = 0          (A^T X A - X + C^T C = 0 in discrete time)
 
-    Parameters, returns, errors and source as for `controllability_gramian`.
+    Parameters
+    ----------
+    sys : control.StateSpace or tuple of arrays
+
+    Returns
+    -------
+    Gramian
+
+    Raises
+    ------
+    ParameterError
+        A pole lies on or beyond the stability boundary.
+    DataError, DimensionError, BudgetError
+        As for `poles`.
+
+    References
+    ----------
+    Hammarling, IMA J. Numer. Anal. 2 (1982) 303.
     """
     system = realization(sys).dense()
     require_stable(system, "a Gramian")
-    b = _plain(balance(system))
+    b = unscaled(balance(system))
     F = factor(b.A.T, b.C.T, discrete=system.is_discrete)
     residual = _residual(b.A.T, F, b.C.T, discrete=system.is_discrete)
     F = F / b.states[:, None]
@@ -206,5 +224,5 @@ def hankel_singular_values(sys: Any) -> np.ndarray:
     """
     system = realization(sys).dense()
     require_stable(system, "a Hankel singular value")
-    F_c, F_o = _factors(_plain(balance(system)), discrete=system.is_discrete)
+    F_c, F_o = factors(unscaled(balance(system)), discrete=system.is_discrete)
     return sla.svdvals(F_o.T @ F_c) if system.n_states else np.zeros(0)

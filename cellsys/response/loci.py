@@ -28,11 +28,13 @@ class Loci:
         Tracked eigenvalues of L.
     noise : array (q, k)
         Error bound of each value.
+    L : complex array (q, q, k)
+    evaluate : Resolvent
     """
 
     def __init__(self, system: Realization, omega: np.ndarray | None = None) -> None:
         self.system = system
-        self._evaluate = Resolvent(system)
+        self.evaluate = Resolvent(system)
         if system.n_inputs == 0:
             self.omega, self.L = np.zeros(0), np.zeros((0, 0, 0), complex)
             self.values, self.noise = np.zeros((0, 0), complex), np.zeros((0, 0))
@@ -42,7 +44,7 @@ class Loci:
             self.omega, _ = grid.refine(self._raw, start)
         else:
             self.omega = np.unique(omega)
-        L, bound = self._evaluate.with_accuracy(s_plane(self.omega, system.dt))
+        L, bound = self.evaluate.with_accuracy(s_plane(self.omega, system.dt))
         usable = np.isfinite(L).all(axis=(0, 1))
         self.omega, L, bound = self.omega[usable], L[:, :, usable], bound[:, :, usable]
         self.L = L
@@ -58,7 +60,7 @@ class Loci:
 
     def _raw(self, omega: np.ndarray) -> np.ndarray:
         """What the refinement looks at: the loci, and 1 + them (passing -1 closely)."""
-        L = self._evaluate(s_plane(omega, self.system.dt))
+        L = self.evaluate(s_plane(omega, self.system.dt))
         L = np.where(np.isfinite(L), L, 1e300)
         values = L[0] if L.shape[0] == 1 else track(np.linalg.eigvals(np.moveaxis(L, -1, 0)).T)
         return np.concatenate([values, 1.0 + values])
@@ -84,7 +86,7 @@ class Loci:
 
     def scalar(self, omega: float, near: complex) -> complex:
         """The locus value at `omega` that lies nearest to `near`."""
-        L = self._evaluate.at(complex(s_plane(np.array([omega]), self.system.dt)[0]))
+        L = self.evaluate.at(complex(s_plane(np.array([omega]), self.system.dt)[0]))
         if L.shape == (1, 1):
             return complex(L[0, 0])
         values = np.linalg.eigvals(L)

@@ -123,7 +123,7 @@ def _real_ends(loci: Loci) -> list[tuple[float, complex]]:
     if system.is_discrete:
         points.append((np.pi / system.dt, -1.0))
     for omega, s in points:
-        L, bound = loci._evaluate.with_accuracy(np.array([s], dtype=complex))
+        L, bound = loci.evaluate.with_accuracy(np.array([s], dtype=complex))
         if not np.all(np.isfinite(L)) or not np.all(np.isfinite(bound)):
             continue
         size = float(np.sqrt((bound**2).sum()))
@@ -154,7 +154,7 @@ def _disk(loci: Loci) -> tuple[float, float]:
     omega, peak = float(loci.omega[i]), float(values[i])
 
     def negative(x: float) -> float:
-        return -size(loci._evaluate.at(complex(s_plane(np.exp([x]), loci.system.dt)[0])))
+        return -size(loci.evaluate.at(complex(s_plane(np.exp([x]), loci.system.dt)[0])))
 
     if hi > lo and np.isfinite(peak):
         best = minimize_scalar(
@@ -165,8 +165,8 @@ def _disk(loci: Loci) -> tuple[float, float]:
             omega, peak = float(np.exp(best.x)), float(-best.fun)
     discrete = loci.system.is_discrete
     top = np.pi / loci.system.dt if discrete else np.inf
-    ends = [(0.0, loci._evaluate.at(1.0 if discrete else 0.0))]
-    ends.append((top, loci._evaluate.at(-1.0) if discrete else loci.system.D))
+    ends = [(0.0, loci.evaluate.at(1.0 if discrete else 0.0))]
+    ends.append((top, loci.evaluate.at(-1.0) if discrete else loci.system.D))
     for end, L in ends:
         if np.all(np.isfinite(L)) and size(L) > peak * (1 + 1e-12):
             omega, peak = end, size(L)

@@ -9,7 +9,8 @@ import numpy as np
 import scipy.linalg as sla
 from scipy.optimize import minimize_scalar
 
-from cellsys.response.gramians import _plain, factor
+from cellsys.errors import ParameterError
+from cellsys.response.gramians import factor, unscaled
 from cellsys.response.realization import Realization, balance, realization
 from cellsys.response.resolvent import Resolvent, s_plane
 
@@ -85,7 +86,7 @@ def h2_norm(sys: Any) -> SystemNorm:
         note = "D is not zero"
     if note:
         return SystemNorm(np.inf, np.nan, np.inf, "H2", note)
-    b = _plain(balance(system))
+    b = unscaled(balance(system))
     F = factor(b.A, b.B, discrete=system.is_discrete)
     value = float(np.hypot(np.linalg.norm(b.C @ F), d))
     return SystemNorm(value, np.nan, value, "H2")
@@ -123,7 +124,7 @@ def hinf_norm(sys: Any, *, rtol: float = 1e-8) -> SystemNorm:
         return SystemNorm(np.inf, np.nan, np.inf, "H-infinity", note)
     if min(system.n_inputs, system.n_outputs) == 0:
         return SystemNorm(0.0, np.nan, 0.0, "H-infinity", "no inputs or no outputs")
-    b = _plain(balance(system))
+    b = unscaled(balance(system))
     plain = Realization(b.A, b.B, b.C, b.D)
     if system.is_discrete:
         plain = _bilinear(plain)
@@ -131,6 +132,31 @@ def hinf_norm(sys: Any, *, rtol: float = 1e-8) -> SystemNorm:
     if system.is_discrete:
         omega = 2 * np.arctan(omega) / system.dt
     return SystemNorm(value, omega, upper, "H-infinity")
+
+
+def norm(sys: Any, order: float | str = 2) -> SystemNorm:
+    """H2 norm (order 2) or H-infinity norm (order ``np.inf`` or ``"inf"``).
+
+    Parameters
+    ----------
+    sys : control.StateSpace or tuple of arrays
+    order : 2, np.inf or "inf"
+
+    Returns
+    -------
+    SystemNorm
+        See `h2_norm` and `hinf_norm` for equations, sources and errors.
+
+    Raises
+    ------
+    ParameterError
+        Another order.
+    """
+    if order == 2:
+        return h2_norm(sys)
+    if order in ("inf", np.inf):
+        return hinf_norm(sys)
+    raise ParameterError(f"order must be 2 or inf, got {order!r}")
 
 
 def _bilinear(system: Realization) -> Realization:

@@ -37,9 +37,12 @@ def smallest_singular(T: np.ndarray, z: np.ndarray) -> np.ndarray:
     n, k = T.shape[0], len(z)
     if n == 0:
         return np.full(k, np.inf)
-    if n <= 12:
-        return np.array([sla.svdvals(x * np.eye(n) - T)[-1] for x in z])
     out = np.empty(k)
+    if n <= 12:
+        for lo in range(0, k, 10_000):
+            M = z[lo : lo + 10_000, None, None] * np.eye(n) - T
+            out[lo : lo + 10_000] = np.linalg.svd(M, compute_uv=False)[:, -1]
+        return out
     step = max(16, 8_000_000 // (16 * n))
     back = T.conj().T[::-1, ::-1]  # (z I - T)^H, order reversed, is upper triangular again
     for lo in range(0, k, step):

@@ -188,7 +188,29 @@ def impulse_response(sys: Any, t: Any = None) -> TimeResponse:
         y(t) = C exp(A t) B      (the impulse D delta(t) itself is left out in continuous time);
         y_0 = D, y_k = C A^(k-1) B in discrete time (a unit sample)
 
-    Parameters, returns, errors and source as for `step_response`.
+    Parameters
+    ----------
+    sys : control.StateSpace or tuple of arrays
+    t : array (k,), optional
+        Rising, s; on sampling instants of a discrete system. Default: seven time constants.
+
+    Returns
+    -------
+    TimeResponse
+        ``.y`` (k, p, m).
+
+    Raises
+    ------
+    ParameterError, DimensionError
+        t does not rise from >= 0 or misses the sampling instants.
+    DataError
+        NaN or inf in, or the response overflows.
+    BudgetError
+        As for `poles`.
+
+    References
+    ----------
+    Van Loan, IEEE Trans. Automatic Control 23 (1978) 395.
     """
     system = realization(sys).dense()
     t = _times(system, t)

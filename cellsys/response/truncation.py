@@ -10,7 +10,7 @@ import scipy.linalg as sla
 
 from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError, RankError
-from cellsys.response.gramians import _factors, _plain, require_stable
+from cellsys.response.gramians import factors, require_stable, unscaled
 from cellsys.response.realization import EPS, Realization, balance, realization
 
 
@@ -86,8 +86,8 @@ def balanced_truncation(
     system = realization(sys).dense()
     n = system.n_states
     require_stable(system, "balanced truncation")
-    b = _plain(balance(system))
-    F_c, F_o = _factors(b, discrete=system.is_discrete)
+    b = unscaled(balance(system))
+    F_c, F_o = factors(b, discrete=system.is_discrete)
     U, s, Yt = sla.svd(F_o.T @ F_c) if n else (np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)))
     tails = 2 * np.concatenate([np.cumsum(s[::-1])[::-1], [0.0]])
     rank = int(np.count_nonzero(s > n * EPS * s.max(initial=0.0)))

@@ -9,7 +9,7 @@ import scipy.linalg as sla
 from scipy.optimize import brentq
 
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.response import margins, poles, root_locus
+from cellsys.response import margins, poles, root_locus, zeros
 from tests import naive
 from tests.response.gallery import lag_chain, mass_spring
 
@@ -228,6 +228,57 @@ def test_resonant_mass_spring_against_the_polynomial_route() -> None:
     except np.linalg.LinAlgError:
         phase = np.nan
     assert phase != np.inf
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_no_crossing_is_missed_or_invented(seed: int) -> None:
+    # Independent lists: |L| = 1 at the imaginary eigenvalues of a Hamiltonian matrix, Im L = 0 at
+    # the imaginary zeros of L(s) - L(-s); both are safe at this order only.
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 9))
+    A = rng.standard_normal((n, n)) * 10 ** rng.uniform(-1, 1)
+    B, C = rng.standard_normal((n, 1)), rng.standard_normal((1, n)) * 10 ** rng.uniform(-1, 2)
+    d = float(rng.choice([0, 0, 0.3, -0.4, 2.0]))
+    found = margins((A, B, C, [[d]]))
+
+    def L(w: float) -> complex:
+        return complex((C @ np.linalg.solve(1j * w * np.eye(n) - A, B))[0, 0] + d)
+
+    F, R = A + B @ C * d / (1 - d * d), 1 - d * d
+    mu = sla.eigvals(np.block([[F, B @ B.T / R], [-C.T @ C / R, -F.T]]))
+    w = np.sort(mu.imag[(abs(mu.real) < 1e-7 * (1 + abs(mu))) & (mu.imag > 1e-9)])
+    w = [x for x in w if abs(abs(L(x)) - 1) < 1e-6]
+    np.testing.assert_allclose(found.gain_crossings[:, 0], w, rtol=1e-6)
+
+    both = (sla.block_diag(A, -A), np.vstack([B, B]), np.hstack([C, C]), np.zeros((1, 1)))
+    z = np.asarray(zeros(both))
+    w = np.sort(z.imag[(abs(z.real) < 1e-7 * (1 + abs(z))) & (z.imag > 1e-9)])
+    w = [x for x in w if L(x).real < 0 and abs(L(x).imag) < 1e-6 * abs(L(x))]
+    at = found.phase_crossings[:, 0]
+    np.testing.assert_allclose(at[(at > 0) & np.isfinite(at)], w, rtol=1e-6)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("seed", range(10))
+def test_every_change_of_stability_is_a_phase_crossing(seed: int, dt: float) -> None:
+    # A common factor k in all channels, swept in the closed-loop matrix itself.
+    rng = np.random.default_rng(seed)
+    n, q = int(rng.integers(2, 8)), int(rng.integers(1, 4))
+    A = rng.standard_normal((n, n))
+    A = sla.expm(0.3 * (A - 0.5 * np.eye(n))) if dt else A
+    B, C = rng.standard_normal((n, q)), rng.standard_normal((q, n))
+    factors = margins((A, B, C, np.zeros((q, q)), dt)).phase_crossings[:, 1]
+
+    def depth(k: float) -> np.ndarray:
+        values = sla.eigvals(A - k * B @ C)
+        return np.abs(values) - 1 if dt else values.real
+
+    k = np.geomspace(1e-3, 1e3, 600)
+    count = np.array([np.count_nonzero(depth(x) > 0) for x in k])
+    for i in np.flatnonzero(np.diff(count)):
+        assert np.any((factors >= k[i] * (1 - 1e-6)) & (factors <= k[i + 1] * (1 + 1e-6)))
+    for x in factors[(factors > 1e-3) & (factors < 1e3)]:
+        assert np.abs(depth(x)).min() < 1e-6 * max(1.0, sla.norm(A - x * B @ C))
 
 
 def test_refusals() -> None:

@@ -16,6 +16,7 @@ from cellsys.response import (
     h2_norm,
     hankel_singular_values,
     hinf_norm,
+    norm,
     observability_gramian,
 )
 from cellsys.response.lyapunov import lyapunov
@@ -87,6 +88,10 @@ def test_norms_in_closed_form() -> None:
     assert float(h2_norm(step)) == pytest.approx(np.sqrt(4 + 1 / (1 - 0.25)), rel=1e-13)
     assert float(hinf_norm(step)) == pytest.approx(4.0, rel=1e-8)
     assert float(hinf_norm(ct.ss(1 / (s - 1)))) == np.inf
+    assert float(norm(lag, np.inf)) == float(hinf_norm(lag)) == float(norm(lag, "inf"))
+    assert float(norm(lag)) == float(h2_norm(lag))
+    with pytest.raises(ParameterError, match="order must be"):
+        norm(lag, 1)
     assert "not inside" in hinf_norm(ct.ss(1 / s)).note
     assert float(hinf_norm((-np.eye(2), np.zeros((2, 0)), np.ones((1, 2)), None))) == 0.0
 
