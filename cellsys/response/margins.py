@@ -13,7 +13,7 @@ from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError
 from cellsys.response.frequency import check_omega
 from cellsys.response.loci import Loci
-from cellsys.response.realization import EPS, Realization, balancing, realization
+from cellsys.response.realization import EPS, Realization, balance, balancing, realization
 from cellsys.response.resolvent import s_plane
 
 
@@ -44,9 +44,12 @@ class Margins(Drawable):
     encirclements : int
         Z - P: clockwise turns of the Nyquist plot around -1 (poles on the axis passed on the
         right).
+    integrators : int
+        Poles at 0 (1 in discrete time) that the loop does not see or does not move, absolute
+        position say: set apart.
     closed_loop_stable : bool
-        Z = 0 and no closed-loop pole on the boundary. Where False the margins are distances to
-        the boundary, no margins of stability.
+        Z = 0 and no other closed-loop pole on the boundary. Where False the margins are distances
+        to the boundary, no margins of stability.
     loci : Loci
         The grid and the loci, for drawing.
     """
@@ -67,6 +70,7 @@ class Margins(Drawable):
     open_loop_unstable: int
     closed_loop_unstable: int
     encirclements: int
+    integrators: int
     closed_loop_stable: bool
     loci: Loci
 
@@ -79,7 +83,8 @@ class Margins(Drawable):
             f"delay margin {self.delay_margin:.6g} s at {self.delay_margin_frequency:.4g} rad/s\n"
             f"disk margin  {self.disk_margin:.4g} at {self.disk_margin_frequency:.4g} rad/s\n"
             f"closed loop {loop} (P = {self.open_loop_unstable}, N = {self.encirclements}, "
-            f"Z = {self.closed_loop_unstable})"
+            f"Z = {self.closed_loop_unstable}"
+            + (f", {self.integrators} integrators set apart)" if self.integrators else ")")
         )
 
 
@@ -102,6 +107,36 @@ def _unstable(A: np.ndarray, dt: float) -> tuple[int, int]:
     values = sla.eigvals(A)
     excess = np.abs(values) - 1 if dt > 0 else values.real
     return int(np.count_nonzero(excess > tol)), int(np.count_nonzero(np.abs(excess) <= tol))
+
+
+def _fixed_integrators(system: Realization) -> int:
+    """Poles at 0 (at 1 in discrete time) that the loop does not see or does not move.
+
+    Null directions of [A; C], then, on what is left, of [A, B] from the left.
+    """
+    b = balance(system)
+    n = len(b.A)
+    if n == 0:
+        return 0
+    A = b.A - np.eye(n) if system.is_discrete else b.A
+    norm = float(sla.norm(b.A))
+    tol = 10 * n * EPS * norm
+    unseen, R = _null(np.vstack([A, b.C]), tol)
+    unmoved, _ = _null(np.vstack([R.T @ A.T @ R, b.B.T @ R]), tol)
+    if unseen + unmoved == 0:
+        return 0
+    # A small singular value alone may only mean that A is far from normal.
+    slow = np.abs(sla.eigvals(A)) <= max(tol, 1e-6 * norm)
+    return min(unseen + unmoved, int(np.count_nonzero(slow)))
+
+
+def _null(M: np.ndarray, tol: float) -> tuple[int, np.ndarray]:
+    """Dimension of the null space of M, and an orthonormal basis of its complement."""
+    if not M.shape[1]:
+        return 0, np.zeros((0, 0))
+    _, s, Vt = sla.svd(M)
+    count = int(np.count_nonzero(s <= tol))
+    return count, Vt[: M.shape[1] - count].T
 
 
 def _log_size(value: complex) -> float:
@@ -230,8 +265,9 @@ def margins(sys: Any, omega: Any = None) -> Margins:
         gain = np.array([(w, np.angle(-v, deg=True)) for w, v in unit]).reshape(-1, 2)
         disk = _disk(loci)
     picked = _pick(phase, gain)
+    fixed = _fixed_integrators(system)
     return Margins(
-        *picked, phase, gain, *disk, P, Z, Z - P, Z == 0 and edge == 0, loci
+        *picked, phase, gain, *disk, P, Z, Z - P, fixed, Z == 0 and edge <= fixed, loci
     )
 
 

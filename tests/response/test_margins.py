@@ -281,6 +281,23 @@ def test_every_change_of_stability_is_a_phase_crossing(seed: int, dt: float) -> 
         assert np.abs(depth(x)).min() < 1e-6 * max(1.0, sla.norm(A - x * B @ C))
 
 
+def test_integrators_outside_the_loop_are_set_apart() -> None:
+    # 1/(s (s + 1)(s + 2)) and beside it a position the loop does not see, and one it cannot move.
+    A, B, C, D = (np.asarray(M) for M in ct.ssdata(ss(1 / (S * (S + 1) * (S + 2)))))
+    unseen = (np.block([[A, np.zeros((3, 1))], [C, np.zeros((1, 1))]]),
+              np.vstack([B, [[0.0]]]), np.hstack([C, [[0.0]]]), D)
+    unmoved = (sla.block_diag(unseen[0], [[0.0]]), np.vstack([unseen[1], [[0.0]]]),
+               np.hstack([unseen[2], [[1.0]]]), D)
+    for L, count in ((unseen, 1), (unmoved, 2)):
+        found = margins(L)
+        assert found.integrators == count
+        assert found.closed_loop_stable
+        assert found.gain_margin == pytest.approx(6.0, rel=EXACT)
+    assert margins((A, B, C, D)).integrators == 0
+    # At its own gain margin the loop has a pole at 0 as well, but one that the loop makes.
+    assert not margins(ct.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], 0)).closed_loop_stable
+
+
 def test_refusals() -> None:
     with pytest.raises(DimensionError, match="as many outputs as inputs"):
         margins((np.eye(2), np.ones((2, 1)), np.ones((2, 2)), np.zeros((2, 1))))
