@@ -48,8 +48,8 @@ class Margins(Drawable):
         Poles at 0 (1 in discrete time) that the loop does not see or does not move, absolute
         position say: set apart.
     closed_loop_stable : bool
-        Z = 0 and no other closed-loop pole on the boundary. Where False the margins are distances
-        to the boundary, no margins of stability.
+        Z = 0, no other closed-loop pole on the boundary, I + D regular. Where False the margins
+        are distances to the boundary, no margins of stability.
     loci : Loci
         The grid and the loci, for drawing.
     """
@@ -89,12 +89,12 @@ class Margins(Drawable):
 
 
 def closed_loop_matrix(system: Realization) -> np.ndarray:
-    """A - B (I + D)^-1 C, or an empty array when I + D is singular (an algebraic loop)."""
+    """A - B (I + D)^-1 C, or a (0,) array when I + D is singular (an algebraic loop)."""
     F = np.eye(system.n_inputs) + system.D
     if system.n_inputs == 0:
         return system.A
     if sla.svdvals(F)[-1] < 1e-14 * max(1.0, float(sla.norm(system.D))):
-        return np.zeros((0, 0))
+        return np.zeros(0)
     return system.A - system.B @ sla.solve(F, system.C)
 
 
@@ -254,7 +254,9 @@ def margins(sys: Any, omega: Any = None) -> Margins:
         omega = omega[omega > 0]
     loci = Loci(system, omega)
     P, _ = _unstable(system.A, system.dt)
-    Z, edge = _unstable(closed_loop_matrix(system), system.dt)
+    closed = closed_loop_matrix(system)
+    solvable = closed.shape == system.A.shape
+    Z, edge = _unstable(closed, system.dt)
     if system.n_inputs == 0 or not loci.omega.size:
         phase, gain, disk = np.zeros((0, 2)), np.zeros((0, 2)), (np.inf, np.nan)
     else:
@@ -267,7 +269,8 @@ def margins(sys: Any, omega: Any = None) -> Margins:
     picked = _pick(phase, gain)
     fixed = _fixed_integrators(system)
     return Margins(
-        *picked, phase, gain, *disk, P, Z, Z - P, fixed, Z == 0 and edge <= fixed, loci
+        *picked, phase, gain, *disk, P, Z, Z - P, fixed, solvable and Z == 0 and edge <= fixed,
+        loci,
     )
 
 

@@ -104,9 +104,10 @@ def exponential(A: np.ndarray, B: np.ndarray, h: float) -> np.ndarray:
     M = np.zeros((n + m, n + m))
     M[:n, :n], M[:n, n:] = A, B / scale[:, None]
     # Inputs in large units may not decide the number of squarings.
-    size = max(float(sla.norm(M[:n, n:], 1)) if m else 0.0, 1e-300)
-    unit = float(np.exp2(np.floor(np.log2(size / max(float(sla.norm(A, 1)), 1e-300))))) if n else 1
-    unit = unit if np.isfinite(unit) and unit > 0 else 1.0
+    unit = 1.0
+    if n and np.any(M[:n, n:]) and np.any(A):
+        ratio = float(sla.norm(M[:n, n:], 1)) / float(sla.norm(A, 1))
+        unit = float(np.exp2(np.clip(np.floor(np.log2(ratio)), -1000, 1000)))
     M[:n, n:] /= unit
     F = sla.expm(M * h)[:n] if n else np.zeros((0, m))
     F[:, n:] *= unit

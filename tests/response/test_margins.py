@@ -298,6 +298,22 @@ def test_integrators_outside_the_loop_are_set_apart() -> None:
     assert not margins(ct.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], 0)).closed_loop_stable
 
 
+def test_degenerate_loops_have_defined_margins() -> None:
+    A, B, C = -np.eye(2), np.ones((2, 1)), np.ones((1, 2))
+    for L, gain, stable in (
+        ((A, B, 0 * C, [[0.0]]), np.inf, True),  # L = 0
+        ((A, B, C, [[-1.0]]), 1.0, False),  # 1 + L(infinity) = 0: an algebraic loop
+        (ct.ss([], [], [], [[-1.0]]), 1.0, False),
+        (ss(1 / (S**2 + 1)), np.inf, False),  # undamped, on the axis
+        ((1e150 * A, 1e150 * B, C, [[0.0]]), np.inf, True),
+        ((np.eye(3, k=-1), np.eye(3, 1), 0.5 * np.eye(1, 3, 2), [[0.0]], 0.1), 2.0, True),
+        ((A, np.zeros((2, 0)), np.zeros((0, 2)), None), np.inf, True),
+    ):
+        found = margins(L)
+        assert found.gain_margin == pytest.approx(gain)
+        assert found.closed_loop_stable == stable
+
+
 def test_refusals() -> None:
     with pytest.raises(DimensionError, match="as many outputs as inputs"):
         margins((np.eye(2), np.ones((2, 1)), np.ones((2, 2)), np.zeros((2, 1))))
