@@ -156,6 +156,31 @@ class Event(NamedTuple):
     detail: str  # for example "cell1 node 17"
 
 
+class EventFunction(NamedTuple):
+    """A guard located by root finding, and the jump of the state that it causes.
+
+    Parameters
+    ----------
+    name : str
+        Written to the trajectory's events.
+    guard : callable
+        ``guard(t, x)`` -> float, smooth between events; zero is the event.
+    direction : {-1, 0, 1}
+        Fires where the guard falls through zero, passes it either way, or rises through it.
+    reset : callable, optional
+        ``reset(t, x)`` -> new state; None only notes the event.
+    level : bool
+        Whether the event also fires where the guard is *already* past zero, at the start or
+        after another event's reset: such a guard never changes sign. Needs a direction.
+    """
+
+    name: str
+    guard: Callable[[float, np.ndarray], float]
+    direction: int = 0
+    reset: Callable[[float, np.ndarray], np.ndarray] | None = None
+    level: bool = False
+
+
 class SymbolicForm(NamedTuple):
     """CasADi form of a system: ``xdot`` and ``eta`` as expressions of ``t`` and ``x``."""
 
@@ -248,6 +273,12 @@ class OdeSystem:
                 f"law or forcing of this system does not accept CasADi symbols ({error}); "
                 "use laws from cellsys.laws or a numeric integrator"
             ) from error
+        if not (_is_regular(eta) and _is_regular(u)):
+            # float(symbol) is NaN without an error: a law that leaves the symbols shows up here.
+            raise NotSymbolicError(
+                "law or forcing of this system turns CasADi symbols into NaN or inf (a float() of "
+                "a symbol, say); use laws from cellsys.laws or a numeric integrator"
+            )
         xdot = _dm(self.W_x) @ x + u
         if self.auxiliaries.size:
             xdot = xdot + _dm(self.W_eta) @ eta
@@ -259,7 +290,7 @@ class OdeSystem:
 
     # Optional hooks. What a system does not override, it does not have.
 
-    def events(self) -> tuple:
+    def events(self) -> tuple[EventFunction, ...]:
         """Guard functions located by root finding; none by default."""
         return ()
 
@@ -275,6 +306,12 @@ class OdeSystem:
 def _entries(value: Any) -> list:
     """A law may return a list of scalars and vectors, or one vector."""
     return list(value) if isinstance(value, (list, tuple)) else [value]
+
+
+def _is_regular(expression: Any) -> bool:
+    import casadi as ca
+
+    return all(e.is_regular() for e in ca.SX(expression).elements() if e.is_constant())
 
 
 def _dm(matrix: sp.csr_array) -> Any:

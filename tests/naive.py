@@ -32,3 +32,28 @@ def poles_say_stable(A) -> bool:
     import scipy.linalg as sla
 
     return bool(np.all(sla.eigvals(A).real < 0))
+
+
+def fixed_step_crawler(system, t_end, step):
+    """Classical RK4 steps, guards looked at after each step only: (times, names) of switches."""
+    t, x, switches = 0.0, system.x0.copy(), []
+    for k in range(round(t_end / step)):
+        a = system.rhs(t, x)
+        b = system.rhs(t + 0.5 * step, x + 0.5 * step * a)
+        c = system.rhs(t + 0.5 * step, x + 0.5 * step * b)
+        x = x + step / 6 * (a + 2 * b + 2 * c + system.rhs(t + step, x + step * c))
+        t = (k + 1) * step
+        for event in system.events():
+            if event.guard(t, x) <= 0:
+                x = event.reset(t, x)
+                switches.append((t, event.name))
+    return switches
+
+
+def euler_polarity(p, directions, kappa, dt):
+    """Explicit Euler on dp/dt = kappa p x (d x p), without renormalising: |p| drifts."""
+    import numpy as np
+
+    for d in directions:
+        p = p + dt * kappa * np.cross(p, np.cross(d, p))
+    return p

@@ -67,13 +67,16 @@ def load_archive(
     if not source.exists():
         raise FileNotFoundError(f"no file {str(source)!r}")
     try:
-        with np.load(source, allow_pickle=False) as archive:
+        # Opened here: np.load leaves the file open when it is not a zip archive after all.
+        with source.open("rb") as file:
+            archive = np.load(file, allow_pickle=False)
             if not hasattr(archive, "files") or _HEADER not in archive.files:
                 raise FileFormatError(
                     f"{source.name!r} was not written by cellsys: it has no {_HEADER!r} header"
                 )
-            header = json.loads(str(archive[_HEADER]))
-            arrays = {name: archive[name] for name in archive.files if name != _HEADER}
+            with archive:
+                header = json.loads(str(archive[_HEADER]))
+                arrays = {name: archive[name] for name in archive.files if name != _HEADER}
     except FileFormatError:
         raise
     except (
