@@ -1,0 +1,101 @@
+"""Variable-step methods of scipy with root-found events: DOP853, Radau, LSODA."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.integrate as integrate
+
+from cellsys.errors import ParameterError
+from cellsys.integrate.hybrid import solve_hybrid
+from cellsys.integrate.symbolic import Solution
+from cellsys.system import OdeSystem
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Method:
+    """Settings shared by the variable-step methods."""
+
+    rtol: float
+    atol: float
+    max_step: float = np.inf
+    max_steps: int = 1_000_000
+    cascade: int = 100
+    first_step: float | None = field(default=None)
+    _solver: ClassVar[Any] = None
+
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        for label in ("rtol", "atol", "max_step", "max_steps", "cascade"):
+            value = getattr(self, label)
+            if not (value > 0 and (np.isfinite(value) or label == "max_step")):
+                raise ParameterError(f"{name}.{label} must be > 0, got {value!r}")
+        if self.first_step is not None and not self.first_step > 0:
+            raise ParameterError(f"{name}.first_step must be > 0 s, got {self.first_step!r}")
+
+    def solve(self, system: OdeSystem, t: np.ndarray, x0: np.ndarray) -> Solution:
+        """Integrate over the grid `t`, with the system's events and stop points."""
+
+        def start(fun: Any, t0: float, x: np.ndarray, bound: float) -> Any:
+            first = None if self.first_step is None else min(self.first_step, bound - t0)
+            return self._solver(
+                fun,
+                t0,
+                x,
+                bound,
+                rtol=self.rtol,
+                atol=self.atol,
+                max_step=self.max_step,
+                first_step=first,
+            )
+
+        return solve_hybrid(
+            system,
+            t,
+            x0,
+            start,
+            name=type(self).__name__,
+            max_steps=self.max_steps,
+            cascade=self.cascade,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DOP853(_Method):
+    """Explicit Runge-Kutta of order 8 (Dormand and Prince); for systems that are not stiff.
+
+    Parameters
+    ----------
+    rtol, atol : float
+        Error per step is kept below rtol |x| + atol; there is no default.
+    max_step, first_step : float
+        Bounds on the step, s.
+    max_steps : int
+        Steps after which the run is given up with an `IntegrationError`.
+    cascade : int
+        Events at one instant after which the run is called chattering.
+    """
+
+    _solver: ClassVar[Any] = integrate.DOP853
+
+
+@dataclass(frozen=True, kw_only=True)
+class Radau(_Method):
+    """Implicit Runge-Kutta of order 5 (Radau IIA), L-stable; for stiff systems.
+
+    Parameters are those of `DOP853`.
+    """
+
+    _solver: ClassVar[Any] = integrate.Radau
+
+
+@dataclass(frozen=True, kw_only=True)
+class LSODA(_Method):
+    """Adams and BDF of variable order with automatic switching (ODEPACK).
+
+    Parameters are those of `DOP853`.
+    """
+
+    _solver: ClassVar[Any] = integrate.LSODA
