@@ -143,6 +143,21 @@ def test_chain_of_100_equal_lags() -> None:
     assert np.isfinite(phase)
 
 
+@pytest.mark.parametrize("n", [3, 30, 400])
+def test_lags_turn_far_below_their_own_frequency(n: int) -> None:
+    # 0.999/(s + 1)^n and its mirror in frequency s^n/(s + 1)^n, whose crossing lies far above 1.
+    found = margins(lag_chain(n, 0.999))
+    assert found.phase_crossings[0, 0] == pytest.approx(np.tan(np.pi / n), rel=1e-10)
+    assert found.loci.omega[0] < 0.1 * np.tan(np.pi / n)
+    if n > 100:
+        return  # the realisation of the mirror has entries of binomial size
+    A, B, C, _ = (np.asarray(M) for M in lag_chain(n, 0.999))
+    inverse, column = np.linalg.solve(A, np.eye(n)), np.linalg.solve(A, B)
+    # C (I/s - A)^-1 B = -C A^-1 (s I - A^-1)^-1 A^-1 B - C A^-1 B
+    mirrored = margins((inverse, column, -C @ inverse, -C @ column))
+    assert mirrored.phase_crossings[-1, 0] == pytest.approx(1 / np.tan(np.pi / n), rel=1e-8)
+
+
 def test_gain_margin_moves_a_closed_loop_pole_onto_the_axis() -> None:
     A, B, C, D = mass_spring(10)
     L = (A, B, 0.5 * C, D)
