@@ -64,6 +64,38 @@ class FocalAdhesion(Effect):
     reach: float = parameter(
         "3 um", "um", above=0.0, source="mechanics 2.4b h", about="radius of the load's weights"
     )
+    # switching: a whole cluster has 2000 pN/um and fails at 430 pN. The 700 pN of numerics II.1
+    # were reached with F_L on bound nodes too; here it acts on free nodes only (mechanics 2.5).
+    bonds: float = parameter(
+        "50", above=1.0, source="mechanics 2.3 n_max", about="most bonds of a cluster"
+    )
+    bond_stiffness: float = parameter(
+        "40 pN/um", "pN/um", above=0.0, source="numerics II.1 (2 nN/um in all)", about="kappa_LR"
+    )
+    rest_length: float = parameter(
+        "0.03 um", "um", least=0.0, source="mechanics 2.3 lambda", about="least bond length"
+    )
+    bind_distance: float = parameter(
+        "1.2 um", "um", above=0.0, source="mechanics 2.3 d_bind", about="greatest length at binding"
+    )
+    bind_rate: float = parameter(
+        "0.1 1/s", "1/s", least=0.0, source="cellsys calibration of mechanics 2.4", about="k_new"
+    )
+    gain_rate: float = parameter(
+        "0.5 1/s", "1/s", above=0.0, source="mechanics 2.4 k_on", about="bonds closing"
+    )
+    loss_rate: float = parameter(
+        "0.01 1/s", "1/s", above=0.0, source="mechanics 2.4 k_0", about="unloaded bonds opening"
+    )
+    bond_force: float = parameter(
+        "4 pN", "pN", above=0.0, source="cellsys calibration of mechanics 2.4 f_b", about="f_b"
+    )
+    contraction_speed: float = parameter(
+        "0.01 um/s", "um/s", least=0.0, source="mechanics 2.3 v_m", about="myosin, unloaded"
+    )
+    stall_force: float = parameter(
+        "30 pN", "pN", above=0.0, source="cellsys calibration of 2.3 f_st", about="myosin stall"
+    )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
         if site.matrix is None:

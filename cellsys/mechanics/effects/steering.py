@@ -67,6 +67,7 @@ class LamellipodiumElement(Element):
         self.array = cell.name
         self.inputs = (Port(cell.name, self.name),)
         self.polarity = f"{cell.name}.polarity"
+        self.bonds = f"{cell.name}.bond_number"
 
     def amplitude(self, t: float) -> float:
         """Commanded factor on the force at time t."""
@@ -84,6 +85,10 @@ class LamellipodiumElement(Element):
             e.full,
             e.downward,
         )
+        bonds = s.internal.get(self.bonds)
+        if bonds is not None:
+            # Clusters that switch: protrude, bind, then contract [mechanics 2.5].
+            out[0][bonds >= 1.0] = 0.0
 
     def stop_points(self) -> tuple[float, ...]:
         return self.commands.stop_points()
