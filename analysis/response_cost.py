@@ -8,15 +8,19 @@ The error is the largest relative one at five frequencies against solutions refi
 precision. Equal accuracy: a tool whose error is above 1e-12 and 100 times ours is marked !! and
 does not count. Caches are off; the least of several times is taken.
 Ours is timed from the `control.StateSpace` to the array, once without and once with the error
-bound per frequency.
+bound per frequency. All tools run on one BLAS thread, unless OMP_NUM_THREADS says otherwise: on a
+machine that does other work as well, threads wait for each other and ratios mean nothing.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import time
 import warnings
 from collections.abc import Callable
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when numpy loads its BLAS
 
 import control as ct
 import numpy as np
