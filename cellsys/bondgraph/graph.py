@@ -155,7 +155,8 @@ class BondGraph(Drawable):
         for element in self.elements:
             if isinstance(element, JUNCTIONS):
                 count = len(used.get((element.name, ""), ()))
-                if count < 2:
+                alone = getattr(element, "position", None) is not None
+                if count < (1 if alone else 2):
                     raise CausalityError(
                         f"junction {element.name!r} has {count} bond(s): a port is left open; "
                         "a junction joins at least two"

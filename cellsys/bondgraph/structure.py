@@ -220,15 +220,18 @@ def _storage(
     kinds: tuple[str, ...],
 ) -> sp.csr_array:
     """Outputs of linear storage, K x, for these kinds of output."""
-    P = sp.lil_array((width, states.size))
+    rows, cols, data = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
     for output in outputs:
         if output.kind in kinds and output.constant is not None and output.index >= 0:
-            if graph.ports[output.index].name not in state_of:
+            name = graph.ports[output.index].name
+            if name not in state_of:
                 continue
-            rows = np.arange(output.place.start, output.place.stop)
-            piece = states.slice(state_of[graph.ports[output.index].name])
-            P[rows, np.arange(piece.start, piece.stop)] = output.constant
-    return sp.csr_array(P)
+            piece = states.slice(state_of[name])
+            rows.append(np.arange(output.place.start, output.place.stop))
+            cols.append(np.arange(piece.start, piece.stop))
+            data.append(output.constant)
+    entries = np.concatenate(data), (np.concatenate(rows), np.concatenate(cols))
+    return sp.csr_array(entries, (width, states.size))
 
 
 def _hidden_row(

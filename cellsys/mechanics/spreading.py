@@ -28,6 +28,7 @@ from cellsys.mechanics.effects.protocol import (
 )
 from cellsys.mechanics.effects.steering import LamellipodiumElement, PolarityElement
 from cellsys.mechanics.geometry.disc import Disc
+from cellsys.mechanics.junctions import JunctionArray, junction_graph
 from cellsys.system import Block, Event, Layout, MajorantBlock, OverdampedSystem, RankOne
 
 
@@ -85,54 +86,30 @@ class SpreadingSystem(OverdampedSystem):
         elements: tuple[Element, ...],
         drag: Drag,
     ) -> None:
-        blocks = [
-            Block(f"{c.body.name}.position", c.body.membrane.position.shape, "um") for c in cells
-        ]
-        start = [c.body.membrane.position.ravel() for c in cells]
         arrays = {c.body.name: f"{c.body.name}.position" for c in cells}
-        if matrix is not None:
-            arrays[MATRIX] = "matrix.displacement"
-            blocks.append(Block(arrays[MATRIX], matrix.position.shape, "um", "field"))
-            start.append(np.zeros(matrix.position.size))
-        if not blocks:
-            raise SceneError("a scene needs at least one cell or a matrix")
-        for element in elements:
-            for block in element.internal:
-                blocks.append(block)
-                start.append(np.asarray(element.initial(block), float).ravel())
-        states = Layout(blocks)
-
-        c = np.zeros(states.size)
+        nodes = []
         for cell in cells:
-            c[states.slice(arrays[cell.body.name])] = drag.cell + drag.cortex
+            at, name = cell.body.membrane.position, cell.body.name
+            c = np.full(at.shape, drag.cell + drag.cortex)
+            nodes.append(JunctionArray(name, Block(arrays[name], at.shape, "um"), at, c))
         if matrix is not None:
-            held = np.where(matrix.clamped, np.inf, drag.matrix)
-            c[states.slice(arrays[MATRIX])] = np.repeat(held, 3)
-
-        ports = [p for e in elements for p in e.ports]
+            arrays[MATRIX], shape = "matrix.displacement", matrix.position.shape
+            held = np.where(matrix.clamped, np.inf, drag.matrix)[:, None] * np.ones(3)
+            block = Block(arrays[MATRIX], shape, "um", "field")
+            nodes.append(JunctionArray(MATRIX, block, np.zeros(shape), held))
+        if not nodes:
+            raise SceneError("a scene needs at least one cell or a matrix")
         inside = [b for e in elements for b in e.internal]
-        auxiliaries = Layout(
-            [
-                Block(
-                    p.block,
-                    states[arrays[p.array]].shape,
-                    "pN",
-                    states[arrays[p.array]].role,
-                    "rate",
-                )
-                for p in ports
-            ]
-            + [Block(f"{b.name}.rate", b.shape, f"{b.unit}/s", b.role, "internal") for b in inside]
-        )
-        columns = [(states.slice(arrays[p.array]), auxiliaries.slice(p.block)) for p in ports]
-        columns += [(states.slice(b.name), auxiliaries.slice(f"{b.name}.rate")) for b in inside]
+        equations = junction_graph(
+            nodes,
+            [p for e in elements for p in e.ports],
+            [(b, np.asarray(e.initial(b), float)) for e in elements for b in e.internal],
+        ).equations()
+        states, auxiliaries = equations.states, equations.auxiliaries
+        c = np.zeros(states.size)
+        for array in nodes:
+            c[states.slice(array.block.name)] = array.drag.ravel()
         mobility = np.where(c > 0, 1.0 / np.where(c > 0, c, 1.0), 1.0)  # 0 where clamped
-        rows = np.concatenate([np.arange(a.start, a.stop) for a, _ in columns] or [np.zeros(0, int)])
-        cols = np.concatenate([np.arange(b.start, b.stop) for _, b in columns] or [np.zeros(0, int)])
-        keep = mobility[rows] > 0
-        W_eta = sp.csr_array(
-            (mobility[rows][keep], (rows[keep], cols[keep])), (states.size, auxiliaries.size)
-        )
         inputs = Layout(
             [
                 block
@@ -146,10 +123,10 @@ class SpreadingSystem(OverdampedSystem):
         )
         super().__init__(
             states=states,
-            x0=np.concatenate(start),
+            x0=equations.x0,
             auxiliaries=auxiliaries,
             inputs=inputs,
-            W_eta=W_eta,
+            W_eta=equations.W_eta,
         )
         for name, value in (
             ("cells", cells),
