@@ -1,0 +1,69 @@
+"""Figures of the 1-D crawler: edges against time, predictions beside the full-order run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+
+def crawler_run(run: Any, ax: Any = None) -> Any:
+    """Lead and trail of every cell of a `CrawlRun`, with a tick at every switch."""
+    if ax is None:
+        ax = plt.subplots(layout="constrained")[1]
+    ax.set(xlabel="time (s)", ylabel="position (um)", title=f"{run.outcome}: {run.reason}"[:80])
+    if run.trajectory is None:
+        return ax
+    for k in range(len(run.system.cells)):
+        name = f"cell{k + 1}"
+        for end, style in (("lead", "-"), ("trail", "--")):
+            ax.plot(
+                run.trajectory.t,
+                run.trajectory.block(f"{name}.{end}"),
+                style,
+                color=f"C{k}",
+                label=f"{name} {end}",
+            )
+        times = run.switches(name)
+        ax.plot(times, np.full(len(times), k), "|", color=f"C{k}", alpha=0.5)
+    ax.legend(fontsize="small")
+    ax.grid(alpha=0.3)
+    return ax
+
+
+def crawler_predictions(
+    t: np.ndarray, true: np.ndarray, predicted: Mapping[str, np.ndarray], ax: Any = None
+) -> Any:
+    """Thesis Fig. 7, 8: edges (T, k) of the full-order run (thick) and of each prediction."""
+    if ax is None:
+        ax = plt.subplots(layout="constrained")[1]
+    ax.plot(t, true, color="C2", lw=3, alpha=0.5)
+    ax.plot([], [], color="C2", lw=3, alpha=0.5, label="full-order")
+    colours = ["C3", "C0", "C1", "C4", "C5", "C6", "C7"]
+    low, high = float(np.min(true)), float(np.max(true))
+    for (label, values), colour in zip(predicted.items(), colours, strict=False):
+        # What leaves the picture would only flatten the rest.
+        inside = np.where(np.abs(values) < 1e3, values, np.nan)
+        ax.plot(t, inside, color=colour, lw=1)
+        ax.plot([], [], color=colour, lw=1, label=label)
+    margin = 0.3 * (high - low)
+    ax.set(xlabel="time (s)", ylabel="position (um)", ylim=(low - margin, high + margin))
+    ax.legend(fontsize="small")
+    ax.grid(alpha=0.3)
+    return ax
+
+
+def error_against_amplitude(
+    amplitude: np.ndarray, errors: Mapping[str, np.ndarray], ax: Any = None
+) -> Any:
+    """Relative roll-out error of each model against the amplitude of its runs, both logarithmic."""
+    if ax is None:
+        ax = plt.subplots(layout="constrained")[1]
+    for label, values in errors.items():
+        ax.loglog(amplitude, values, "o-", label=label)
+    ax.set(xlabel="amplitude", ylabel="relative roll-out error, held out")
+    ax.legend(fontsize="small")
+    ax.grid(alpha=0.3, which="both")
+    return ax
