@@ -3,13 +3,13 @@
     python analysis/response_cost.py [--quick]
 
 Every row is one system: 1000 frequencies, time of each tool divided by ours. Tools slower than 1 s
-are timed on at most 20 points and scaled to 1000 (marked ~); what they do once is timed once.
-The error is the largest relative one at five frequencies against solutions refined in extended
-precision. Equal accuracy: a tool whose error is above 1e-12 and 100 times ours is marked !! and
-does not count. Caches are off; the least of several times is taken.
-Ours is timed from the `control.StateSpace` to the array, once without and once with the error
-bound per frequency. All tools run on one BLAS thread, unless OMP_NUM_THREADS says otherwise: on a
-machine that does other work as well, threads wait for each other and ratios mean nothing.
+are timed on some 20 points (200 where these are quick) and scaled to 1000, marked ~; what they do
+once is timed once. The error is the largest relative one at five frequencies against solutions
+refined in extended precision. Equal accuracy: a tool whose error is above 1e-12 and 100 times ours
+is marked !! and does not count. Caches are off; the least of several times is taken. Ours is timed
+from the `control.StateSpace` to the array, once without and once with the error bound per
+frequency. All tools run on one BLAS thread, unless OMP_NUM_THREADS says otherwise: on a machine
+that does other work as well, threads wait for each other and ratios mean nothing.
 """
 
 from __future__ import annotations
@@ -140,6 +140,9 @@ def row(n: int, m: int, p: int) -> dict[str, float]:
             once = clock(lambda run=run: run(omega[:1]), 1)
             k = int(np.clip(SECONDS / once, 3, SAMPLE))  # fewer points where each is long
             part = clock(lambda run=run, k=k: run(omega[: k + 1]), 1)
+            if 200 * (part - once) / k < SECONDS:  # the once outweighs the points: take more
+                k = 200
+                part = clock(lambda run=run: run(omega[:201]), 1)
             seconds, mark = once + (POINTS - 1) * max(part - once, 0.0) / k, "~"
             if seconds < 1:
                 again = int(np.clip(1 / seconds, 1, repeats))
