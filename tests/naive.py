@@ -57,3 +57,19 @@ def euler_polarity(p, directions, kappa, dt):
     for d in directions:
         p = p + dt * kappa * np.cross(p, np.cross(d, p))
     return p
+
+
+def lagged_tangent_velocities(system, factor, step, n_steps=25):
+    """Velocity of the last node under C dx/dt = F with a kept tangent `factor` K: it alternates."""
+    import numpy as np
+
+    x, n = system.x0.copy(), system.n
+    x[:n] = 1e-9
+    K = factor / system.factor * system.majorant(0.0, x, step)[0].matrix().toarray()
+    M = system.drag()[0] / step * np.eye(n) + K
+    out = []
+    for _ in range(n_steps):
+        move = np.linalg.solve(M, system.efforts(0.0, x)[:n])
+        x[:n] += move
+        out.append(move[-1] / step)
+    return np.array(out)

@@ -180,6 +180,8 @@ class _ImplicitStepper(Stepper):
             eta, u = system.efforts(t_end, end), system.u(t_end, end)
             self.statistics["rhs"] += 1
             rate = system.W_x @ end + system.W_eta @ eta + u
+            if not np.isfinite(rate.sum()):
+                self._not_finite(rate, t_end, dt)
             residual = self.force_scale * (rate - (end - x) / dt)
             delta = self._solve(residual, system.low_rank(t_end, end))
             end = end + delta
@@ -196,6 +198,11 @@ class _ImplicitStepper(Stepper):
         for states, rates in system.internal_blocks():
             eta[rates] = (end[states] - x[states]) / dt
         return eta, u
+
+    def _not_finite(self, rate: np.ndarray, t: float, dt: float) -> None:
+        bad = np.flatnonzero(~np.isfinite(rate))
+        name = self.system.states.names[bad[0]] if bad.size else "some state"
+        self.fail(t, dt, f"LinearlyImplicit: the rate of {name} is not finite; use a smaller step")
 
     def _explained(self, left: np.ndarray, rate: np.ndarray) -> bool:
         """Whether every block leaves at most `tolerance` of its force unexplained."""
