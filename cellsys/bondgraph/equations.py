@@ -56,27 +56,33 @@ class Equations:
 
     @property
     def states(self) -> Layout:
+        """Names of x."""
         return self.structure.states
 
     @property
     def auxiliaries(self) -> Layout:
+        """Names of eta."""
         return self.structure.auxiliaries
 
     @property
     def inputs(self) -> Layout:
+        """Names of the sources."""
         return self.structure.inputs
 
     @property
     def x0(self) -> np.ndarray:
+        """Initial state (n,)."""
         return self.structure.x0
 
     @cached_property
     def causality(self) -> dict[str, str]:
+        """For every bond, the end that imposes the effort."""
         strokes = self.structure.causality.effort_from_tail(self.graph)
         return {name: "tail" if tail else "head" for name, tail in strokes.items()}
 
     @property
     def dependent(self) -> tuple[str, ...]:
+        """Linear storages in derivative causality."""
         ports = self.graph.ports
         return tuple(
             ports[o.index].name for o in self.structure.outputs if o.kind == "dependent"
@@ -84,6 +90,7 @@ class Equations:
 
     @property
     def loops(self) -> tuple[tuple[str, ...], ...]:
+        """Algebraic loops among nonlinear resistors."""
         return self.laws.loops
 
     def eta(self, t: Any, x: Any) -> Any:

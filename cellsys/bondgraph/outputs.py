@@ -102,6 +102,7 @@ def output_sign(port: Port, quantity: str) -> int:
 
 
 def outputs_of(graph: BondGraph, causality: Causality, literal: bool) -> tuple[Output, ...]:
+    """Outputs of all ports in the order of the elements, then rates of internal states."""
     out: list[Output] = []
     start = 0
     for index, port in enumerate(graph.ports):
@@ -134,11 +135,13 @@ def outputs_of(graph: BondGraph, causality: Causality, literal: bool) -> tuple[O
 
 
 def unit_of(graph: BondGraph, output: Output) -> str:
+    """Unit of an output's effort or flow."""
     port = graph.ports[output.index]
     return state_units(graph.domains[port.bond], graph.units)[0 if output.quantity == EFFORT else 1]
 
 
 def auxiliary_of(graph: BondGraph, output: Output) -> Block:
+    """Block of an output that is an auxiliary; its role is that of the array it acts on."""
     if output.kind == "rate":
         block = graph.by_name[output.name].block
         return Block(f"{block.name}.rate", block.shape, f"{block.unit}/s", block.role, "internal")
