@@ -1,0 +1,12 @@
+"""cellsys: a cell on its matrix as a control system.
+
+Plant (mechanics of cell and matrix, full-order or reduced), controller (polarity law), sensor
+(direction of greatest stiffness), closed into one loop. Names are loaded when first used.
+"""
+
+import lazy_loader as _lazy
+
+from cellsys.version import __version__
+
+__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
+__all__ = [*__all__, "__version__"]

@@ -321,7 +321,7 @@ def _dm(matrix: sp.csr_array) -> Any:
 
 
 class MajorantBlock(NamedTuple):
-    """A piece of the tangent's over-estimate: SPD `matrix()` (k, k) on each column of `index` (k, c).
+    """An over-estimate of the tangent: SPD `matrix()` (k, k) on each column of `index` (k, c).
 
     The c columns (coordinates of the same nodes) share one matrix and one factorisation. `key`
     changes when the matrix does, and only then is `matrix` called.
@@ -359,7 +359,7 @@ class OverdampedSystem(OdeSystem):
         raise NotImplementedError
 
     def forget(self) -> None:
-        """Drop whatever is kept between looks at the tangent: a run must not see an earlier one."""
+        """Drop what is kept between looks at the tangent: a run must not see an earlier one."""
 
     def internal_blocks(self) -> tuple[tuple[slice, slice], ...]:
         """(slice of x, slice of eta) of every internal state and its rate."""

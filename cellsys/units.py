@@ -120,6 +120,8 @@ def quantity(value: str | float, unit: str, *, name: str = "value") -> float:
         return number
     factor, dimension = parse_unit(text)
     if dimension != expected:
-        raise UnitError(f"{name} = {value!r} has the wrong dimension; expected a unit like {unit!r}")
+        raise UnitError(
+            f"{name} = {value!r} has the wrong dimension; expected a unit like {unit!r}"
+        )
     del scale
     return number * factor

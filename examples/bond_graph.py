@@ -1,6 +1,6 @@
 """A DC motor as a bond graph: from elements by name to the Bode plot of voltage to speed.
 
-    python examples/bond_graph.py [--quick] [--out DIR]
+python examples/bond_graph.py [--quick] [--out DIR]
 """
 
 from __future__ import annotations

@@ -8,6 +8,17 @@ import lazy_loader as _lazy
 __getattr__, __dir__, __all__ = _lazy.attach(
     __name__,
     submod_attrs={
+        "bondgraph": ["bond_graph"],
+        "crawler": ["crawler_predictions", "crawler_run", "error_against_amplitude"],
+        "loop": ["headings", "linearisation"],
+        "reduction": [
+            "error_against_time",
+            "latent_model",
+            "order_sweep",
+            "pole_certainty",
+            "pole_map",
+        ],
+        "spreading": ["cell_from_above", "cell_from_side", "displacement_field", "trajectory"],
         "response": [
             "bode",
             "error_system",

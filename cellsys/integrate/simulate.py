@@ -139,11 +139,7 @@ def simulate(
         raise DimensionError(f"x0 must have shape {system.x0.shape}, got {start.shape}")
     if not np.all(np.isfinite(start)):
         raise DataError("x0 holds NaN or inf")
-    rows = (
-        sink
-        if sink is not None
-        else _Memory(record_shapes(system, times, auxiliaries))
-    )
+    rows = sink if sink is not None else _Memory(record_shapes(system, times, auxiliaries))
     if auxiliaries:
         rows.arrays["eta_start"][: system.auxiliaries.size] = system.eta(float(times[0]), start)
     began = clock.perf_counter()
@@ -277,7 +273,5 @@ def _record_solution(
         _sample(system, rows.arrays, k, float(t[k]), solution.x[k])
         if auxiliaries and k + 1 < len(t):
             u = solution.u[k]
-            _log(
-                system, rows.arrays, k, t, solution.x[k], solution.x[k + 1], solution.eta[k], u
-            )
+            _log(system, rows.arrays, k, t, solution.x[k], solution.x[k + 1], solution.eta[k], u)
     return dict(solution.statistics), tuple(solution.events)

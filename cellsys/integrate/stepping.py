@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,7 +22,7 @@ def cuts(t0: float, t1: float, step: float, stops: np.ndarray) -> np.ndarray:
     inner = stops[(stops > t0) & (stops < t1)]
     edges = np.concatenate([[t0], inner, [t1]])
     times = [np.array([t0])]
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in pairwise(edges):
         n = max(1, int(np.ceil((b - a) / step * (1.0 - 1e-12))))
         times.append(a + (b - a) * np.arange(1, n + 1) / n)
         times[-1][-1] = b
@@ -63,7 +64,7 @@ class Stepper:
         u_sum = np.zeros(self.system.states.size)
         # Overflow in a law is reported by `fail`, with the time and the state's name.
         with np.errstate(over="ignore", invalid="ignore"):
-            for a, b in zip(times[:-1], times[1:], strict=True):
+            for a, b in pairwise(times):
                 eta, u = self.take_step(float(a), float(b - a))
                 self.statistics["steps"] += 1
                 if not np.isfinite(self.x.sum()):

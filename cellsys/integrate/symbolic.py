@@ -5,6 +5,7 @@ from __future__ import annotations
 import time as clock
 from dataclasses import dataclass, field
 from typing import Any
+from itertools import pairwise
 
 import numpy as np
 
@@ -110,7 +111,7 @@ def _solve(
         a, b = float(t[k]), float(t[k + 1])
         edges = [a, *stops[(stops > a) & (stops < b)], b]
         state = x[k]
-        for c, d in zip(edges[:-1], edges[1:], strict=True):
+        for c, d in pairwise(edges):
             pieces = 1 if step is None else max(1, int(np.ceil((d - c) / step * (1 - 1e-12))))
             if pieces not in built:
                 # CasADi counts finite elements over the whole interval.

@@ -28,6 +28,7 @@ from cellsys.integrate.simulate import simulate
 from cellsys.integrate.symbolic import CVODES
 from cellsys.laws.arrays import operations
 from cellsys.laws.polarity import heading_features
+from cellsys.loop.modal import split_slow
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.sensor import StiffnessSensor
@@ -60,8 +61,9 @@ class Linearisation(Drawable):
     residual : float
         |(z', p')| there, per unit of state: 0 at an equilibrium; else the linearisation is
         frozen in time.
-    integrators : tuple of int
-        Closed-loop poles set apart as absolute position: |pole| below `integrator_tolerance`.
+    slow : array
+        Plant poles set apart, 1/s: |pole| < `slower_than`, not to be told from integrators of
+        absolute position over the run behind the model. `A` and the rest are without them.
     """
 
     A: np.ndarray
@@ -74,6 +76,7 @@ class Linearisation(Drawable):
     B_heading: np.ndarray
     S_heading: np.ndarray
     strength: float
+    slow: np.ndarray
 
     _figure: ClassVar[str] = "linearisation"
 
@@ -90,9 +93,15 @@ class Linearisation(Drawable):
 
     def __str__(self) -> str:
         where = "equilibrium" if self.residual < 1e-9 else "frozen time, not an equilibrium"
+        apart = (
+            f"; {len(self.slow)} slow poles set apart as integrators of absolute position "
+            f"(|pole| <= {np.abs(self.slow).max():.2g} 1/s)"
+            if len(self.slow)
+            else ""
+        )
         return (
             f"linearised loop, order {len(self.A)}: spectral abscissa "
-            f"{self.poles.real.max():.3g} 1/s; {where} (residual {self.residual:.2g} 1/s)"
+            f"{self.poles.real.max():.3g} 1/s; {where} (residual {self.residual:.2g} 1/s){apart}"
         )
 
 
@@ -177,7 +186,7 @@ class ClosedLoop:
         )
         return simulate(self.system, integrator, t, start, label="closed loop, reduced")
 
-    def linearize(self, at: Any = None) -> Linearisation:
+    def linearize(self, at: Any = None, *, slower_than: float = 0.0) -> Linearisation:
         """Linearise about a point.
 
         Parameters
@@ -186,6 +195,9 @@ class ClosedLoop:
             None: the end of a 1500 s run from the loop's own start. A float: that time of such
             a run. A trajectory of this loop: its last sample. "equilibrium": solved by Newton's
             method from the end of that run (a crawling cell usually has none; then refused).
+        slower_than : float
+            Plant poles closer to zero than this, 1/s, are set apart (exactly, by decoupling);
+            1/T for a run of length T is the natural choice. Default: none.
         """
         z, p = self._point(at)
         A, B, b = self.model.continuous_matrices()
@@ -194,20 +206,24 @@ class ClosedLoop:
         raw = self.sensor.raw(z)
         size = float(np.linalg.norm(raw)) if self.normalise else 1.0
         if size == 0.0:
-            raise DataError("the sensed direction is zero at this point: the loop has no slope there")
+            raise DataError(
+                "the sensed direction is zero at this point: the loop has no slope there"
+            )
         d = raw / size
         # Turning of p follows the part of d across p; normalisation removes the part along d.
         S = tangent @ self.sensor.S_d / size
         if self.normalise:
             S = S - float(tangent @ d) * (d @ self.sensor.S_d) / size
-        strength = float(p @ d) / float(np.linalg.norm(p)) ** 2 * float(p @ p)
+        strength = float(p @ d)
         kappa = self.controller.kappa
-        closed = np.block([[A, B_heading[:, None]], [kappa * S[None], -kappa * strength]])
         rate = np.concatenate(
             [A @ z + B @ np.asarray(self.commands(p)) + b, self.controller.rate(p, d)]
         )
         residual = float(np.linalg.norm(rate)) / max(1.0, float(np.linalg.norm(z)))
-        return Linearisation(closed, z, p, d, residual, kappa, A, B_heading, S, strength)
+        A, B_heading, S, slow = split_slow(A, B_heading[:, None], S[None], slower_than)
+        B_heading, S = B_heading[:, 0], S[0]
+        closed = np.block([[A, B_heading[:, None]], [kappa * S[None], -kappa * strength]])
+        return Linearisation(closed, z, p, d, residual, kappa, A, B_heading, S, strength, slow)
 
     def _features_slope(self, p: np.ndarray) -> np.ndarray:
         """dc/dtheta (n_c,) at heading theta of p."""
@@ -225,12 +241,13 @@ class ClosedLoop:
         """Return ratio for negative feedback, cut at kappa, as `control.StateSpace`.
 
         Its gain margin is the factor on kappa. States z and xi, input v, output y:
-        z' = A z + B_u T xi, xi' = kappa v, y = (p*.d*) xi - T^T S_d z.
+        z' = A z + B_u T xi, xi' = kappa v, y = (p*.d*) xi - T^T S_d z. `at` is a
+        `Linearisation` or what `linearize` takes.
         """
         import control
 
         point = at if isinstance(at, Linearisation) else self.linearize(at)
-        m = self.order
+        m = len(point.A_plant)
         A = np.zeros((m + 1, m + 1))
         A[:m, :m], A[:m, m] = point.A_plant, point.B_heading
         B = np.zeros((m + 1, 1))
@@ -250,7 +267,9 @@ class ClosedLoop:
 
     def _point(self, at: Any) -> tuple[np.ndarray, np.ndarray]:
         if isinstance(at, str) and at != "equilibrium":
-            raise ParameterError(f"at must be a time, a trajectory, (z, p) or 'equilibrium', got {at!r}")
+            raise ParameterError(
+                f"at must be a time, a trajectory, (z, p) or 'equilibrium', got {at!r}"
+            )
         if at is None or isinstance(at, (int, float, str)):
             end = 1500.0 if at is None or isinstance(at, str) else float(at)
             if end > 0:
@@ -263,7 +282,9 @@ class ClosedLoop:
             return np.asarray(at.x[-1, : self.order]), np.asarray(at.x[-1, self.order :])
         z, p = (np.asarray(v, dtype=float) for v in at)
         if z.shape != (self.order,) or p.shape != (3,):
-            raise DimensionError(f"at must be (z ({self.order},), p (3,)), got {z.shape}, {p.shape}")
+            raise DimensionError(
+                f"at must be (z ({self.order},), p (3,)), got {z.shape}, {p.shape}"
+            )
         if np.hypot(p[0], p[1]) == 0.0:
             raise DataError("p is normal to the substrate: it has no heading")
         return z, p

@@ -58,7 +58,9 @@ class PolarityLaw:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.kappa) and self.kappa >= 0):
-            raise ParameterError(f"PolarityLaw.kappa must be finite and >= 0 1/s, got {self.kappa!r}")
+            raise ParameterError(
+                f"PolarityLaw.kappa must be finite and >= 0 1/s, got {self.kappa!r}"
+            )
 
     def rate(self, p: Any, d: Any) -> Any:
         """dp/dt (3,), numpy or CasADi; p and d (3,)."""

@@ -145,6 +145,10 @@ class SpreadingSystem(OverdampedSystem):
             index[array] = np.arange(piece.start, piece.stop).reshape(-1, 3)
         object.__setattr__(self, "_index", index)
 
+    def nodes_of(self, array: str) -> int:
+        """Number of nodes of a junction array."""
+        return len(self._index[array])
+
     # Views
 
     def configuration(self, t: float, x: np.ndarray) -> Configuration:
@@ -264,9 +268,7 @@ class SpreadingSystem(OverdampedSystem):
     def between_steps(
         self, t: float, x: np.ndarray, dt: float, rng: np.random.Generator
     ) -> tuple[np.ndarray, tuple[Event, ...]]:
-        switching = [
-            e for e in self.elements if type(e).between_steps is not Element.between_steps
-        ]
+        switching = [e for e in self.elements if type(e).between_steps is not Element.between_steps]
         if not switching:
             return x, ()
         x = x.copy()
@@ -277,9 +279,7 @@ class SpreadingSystem(OverdampedSystem):
         return x, tuple(events)
 
 
-def combine(
-    array: str, index: np.ndarray, items: list[Stiffness], t: float
-) -> list[MajorantBlock]:
+def combine(array: str, index: np.ndarray, items: list[Stiffness], t: float) -> list[MajorantBlock]:
     """Sum the stiffnesses of one array into as few blocks as they allow.
 
     Coupled parts make one block of all coordinates; otherwise coordinates with the same parts

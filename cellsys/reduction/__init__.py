@@ -1,11 +1,12 @@
 """Reduction: snapshots, basis, reductors, the latent model and its card."""
 
-from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD
+from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.card import Card, assess
+from cellsys.reduction.certainty import PoleCertainty, pole_certainty
+from cellsys.reduction.least_squares import LeastSquares
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.pcr import PCR
-from cellsys.reduction.least_squares import LeastSquares
-from cellsys.reduction.reduce import reduce
+from cellsys.reduction.reduce import reduce, reduce_orders
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import RunData, Snapshots, snapshots
 
@@ -16,12 +17,16 @@ __all__ = [
     "ExactSVD",
     "LatentModel",
     "LeastSquares",
+    "PoleCertainty",
     "RandomisedSVD",
     "RunData",
     "Snapshots",
     "StiffnessSensor",
     "assess",
+    "fit_basis",
     "fit_sensor",
+    "pole_certainty",
     "reduce",
+    "reduce_orders",
     "snapshots",
 ]

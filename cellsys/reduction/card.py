@@ -65,7 +65,9 @@ class Card:
             f"spectral abscissa {self.spectral_abscissa:.3g} 1/s",
         ]
         if self.input_share_explained is not None:
-            lines.append(f"commands explain {100 * self.input_share_explained:.0f} % of the input u")
+            lines.append(
+                f"commands explain {100 * self.input_share_explained:.0f} % of the input u"
+            )
         for title, rows in (("training", self.training), ("held out", self.held_out)):
             for block, row in rows.items():
                 parts = ", ".join(
@@ -80,13 +82,20 @@ def _number(value: float) -> str:
     return "diverges" if not value < DIVERGED else f"{value:.3g}"
 
 
-def position_rows(data: Snapshots) -> dict[str, np.ndarray]:
+def position_rows(data: Snapshots) -> dict[str, np.ndarray | slice]:
     """Columns of x that are positions: of the cells, and of the matrix."""
     rows = {
         "cells": data.states.where(role="component", kind="position"),
         "matrix": data.states.where(role="field", kind="position"),
     }
-    return {k: v for k, v in rows.items() if len(v)}
+    return {k: _as_slice(v) for k, v in rows.items() if len(v)}
+
+
+def _as_slice(rows: np.ndarray) -> np.ndarray | slice:
+    """A slice where the rows are consecutive: no copies of whole runs."""
+    if rows[-1] - rows[0] + 1 == len(rows):
+        return slice(int(rows[0]), int(rows[-1]) + 1)
+    return rows
 
 
 def roll_out(model: LatentModel, data: Snapshots, run: RunData) -> np.ndarray:
@@ -111,6 +120,12 @@ def encode_start(model: LatentModel, run: RunData) -> np.ndarray:
     return model.encode(np.asarray(run.x[0]), run.eta_start)
 
 
+def encode_run(model: LatentModel, run: RunData) -> np.ndarray:
+    """z (T - 1, m) of a run's samples, from states and logged auxiliaries."""
+    eta = None if run.eta is None else np.asarray(run.eta)
+    return model.encode(np.asarray(run.x)[:-1], eta)
+
+
 def _relative(error: np.ndarray, x: np.ndarray) -> float:
     moved = float(np.linalg.norm(x - x[0]))
     return float(np.linalg.norm(error)) / moved if moved > 0 else 0.0
@@ -120,20 +135,23 @@ def run_errors(
     model: LatentModel,
     data: Snapshots,
     run: RunData,
-    rows: Mapping[str, np.ndarray],
+    rows: Mapping[str, np.ndarray | slice],
     motion: np.ndarray,
+    latent: np.ndarray | None = None,
 ) -> dict[str, dict[str, float]]:
-    """Relative errors of one run, per block; `motion` (T, n) is the mean training motion."""
+    """Relative errors of one run, per block.
+
+    `motion` (T, n) is the mean training motion; `latent` (T - 1, >= m) the encoded run, when it
+    is known already.
+    """
     x = np.asarray(run.x)
     try:
         predicted: np.ndarray | None = roll_out(model, data, run)
     except IntegrationError:
         predicted = None
     T = len(x)
-    if run.eta is not None:
-        floor = model.reconstruct(model.encode(x[:-1], np.asarray(run.eta)))
-    else:
-        floor = model.reconstruct(model.encode(x, None))[: T - 1]
+    latent = encode_run(model, run) if latent is None else latent[:, : model.order]
+    floor = model.reconstruct(latent)
     mean = motion[np.minimum(np.arange(T), len(motion) - 1)]
     velocity = np.arange(T)[:, None] * (motion[-1] / max(len(motion) - 1, 1))
     out = {}
@@ -163,11 +181,17 @@ def mean_motion(data: Snapshots) -> np.ndarray:
 
 
 def errors(
-    model: LatentModel, data: Snapshots, motion: np.ndarray
+    model: LatentModel,
+    data: Snapshots,
+    motion: np.ndarray,
+    latents: list[np.ndarray] | None = None,
 ) -> dict[str, dict[str, float]]:
     """Root mean square over runs of `run_errors`."""
     rows = position_rows(data)
-    each = [run_errors(model, data, run, rows, motion) for run in data.runs]
+    each = [
+        run_errors(model, data, run, rows, motion, None if latents is None else latents[i])
+        for i, run in enumerate(data.runs)
+    ]
     return {
         block: {
             key: (
@@ -181,15 +205,38 @@ def errors(
     }
 
 
-def assess(model: LatentModel, data: Snapshots, test: Snapshots | None = None) -> Card:
+@dataclass(frozen=True, eq=False)
+class Encoded:
+    """Runs encoded once in a large basis, for the cards of all smaller orders in it."""
+
+    training: list[np.ndarray]
+    test: list[np.ndarray]
+    motion: np.ndarray
+
+    @classmethod
+    def of(cls, model: LatentModel, data: Snapshots, test: Snapshots | None) -> Encoded:
+        """`model` is any model with the large basis."""
+        return cls(
+            [encode_run(model, r) for r in data.runs],
+            [] if test is None else [encode_run(model, r) for r in test.runs],
+            mean_motion(data),
+        )
+
+
+def assess(
+    model: LatentModel,
+    data: Snapshots,
+    test: Snapshots | None = None,
+    encoded: Encoded | None = None,
+) -> Card:
     """The card of a model: training and held-out errors beside floor and baselines."""
     training: dict = {}
     held_out: dict = {}
     if model.V is not None and position_rows(data):
-        motion = mean_motion(data)
-        training = errors(model, data, motion)
+        encoded = Encoded.of(model, data, test) if encoded is None else encoded
+        training = errors(model, data, encoded.motion, encoded.training)
         if test is not None:
-            held_out = errors(model, test, motion)
+            held_out = errors(model, test, encoded.motion, encoded.test)
     abscissa = model.growth()
     return Card(
         order=model.order,
@@ -218,8 +265,9 @@ def verdict(
     if not shown:
         return f"order {order}: not measured against data."
     block, row = next(iter(shown.items()))
-    model, best_name = row["model"], min(
-        ("nothing moves", "mean velocity", "mean motion"), key=lambda k: row[k]
+    model, best_name = (
+        row["model"],
+        min(("nothing moves", "mean velocity", "mean motion"), key=lambda k: row[k]),
     )
     best = row[best_name]
     if not model < DIVERGED:

@@ -31,11 +31,20 @@ class LeastSquares:
     svd: ExactSVD | RandomisedSVD | None = None
     rank_tolerance: float = 1e-13
 
-    def fit(self, data: Snapshots, order: int, basis: Basis | None = None) -> LatentModel:
-        """Learn a model of order `order`; `basis` (of at least that order) is reused if given."""
+    def fit(
+        self,
+        data: Snapshots,
+        order: int,
+        basis: Basis | None = None,
+        parts: LatentParts | None = None,
+    ) -> LatentModel:
+        """Learn a model of order `order`.
+
+        `basis` (of at least that order) and `parts` (latent samples in it) are reused if given.
+        """
         basis = truncated(basis, order) or fit_basis(data, order, method=self.svd)
         n, m = data.states.size, order
-        parts = LatentParts(data, basis)
+        parts = (LatentParts.of(data, basis) if parts is None else parts).first(m)
         rate = (parts.next - parts.now) / data.dt
         B, names = np.zeros((m, 0)), ()
         if data.command_names:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,12 +20,10 @@ from cellsys.errors import (
     RepresentationError,
 )
 from cellsys.reduction.card import Card
+from cellsys.reduction.model_file import ARRAYS, load_model, save_model
 from cellsys.reduction.sensor import StiffnessSensor
-from cellsys.store.archive import load_archive, save_archive
-from cellsys.system import Block, Layout
-
-_KIND, _VERSION = "latent model", 1
-_ARRAYS = ("A", "B", "offset", "V", "mean", "scale", "singular_values", "z_start")
+from cellsys.reduction.steps import hold, to_continuous
+from cellsys.system import Layout
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,14 +127,16 @@ class LatentModel(Drawable):
         for name, (got, expected) in shapes.items():
             if got != expected:
                 raise DimensionError(f"{name} must have shape {expected}, got {got}")
-        for name in _ARRAYS:
+        for name in ARRAYS:
             value = getattr(self, name)
             if value is not None and not np.all(np.isfinite(value)):
                 raise DataError(f"{name} holds NaN or inf; a model cannot be made from it")
             if value is not None:
                 value.setflags(write=False)
         if self.dt is not None and not (np.isfinite(self.dt) and self.dt > 0):
-            raise ParameterError(f"dt must be > 0 s (or None for a continuous model), got {self.dt!r}")
+            raise ParameterError(
+                f"dt must be > 0 s (or None for a continuous model), got {self.dt!r}"
+            )
         names = self.input_names
         if names is None:
             names = tuple(f"c[{i}]" for i in range(self.B.shape[1]))
@@ -224,7 +223,7 @@ class LatentModel(Drawable):
             return np.eye(self.order) + self.dt * self.A, self.dt * self.B, self.dt * self.offset
         if dt is None:
             raise ParameterError("a continuous model needs dt for its step matrices")
-        return _hold(self.A, self.B, self.offset, dt)
+        return hold(self.A, self.B, self.offset, dt)
 
     def continuous_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(A_c, B_c, b_c) of z' = A_c z + B_c c + b_c.
@@ -235,30 +234,7 @@ class LatentModel(Drawable):
         """
         if self.dt is None:
             return self.A, self.B, self.offset
-        m = self.order
-        step = np.eye(m) + self.dt * self.A
-        eigenvalues = sla.eigvals(step)
-        bad = (eigenvalues.real <= 0) & (
-            np.abs(eigenvalues.imag) <= 1e-12 * np.abs(eigenvalues).max(initial=1.0)
-        )
-        if bad.any():
-            raise ParameterError(
-                f"no continuous model: I + dt A has {int(bad.sum())} eigenvalue(s) <= 0, the "
-                f"first {eigenvalues[bad][0].real:.3g}; use plant(discrete=True) or a lower order"
-            )
-        extra = np.column_stack([self.B, self.offset])
-        k = extra.shape[1]
-        whole = np.block([[step, self.dt * extra], [np.zeros((k, m)), np.eye(k)]])
-        log = sla.logm(whole)
-        if np.iscomplexobj(log):
-            log = log.real
-        back = sla.expm(log)
-        if np.linalg.norm(back - whole) > 1e-6 * np.linalg.norm(whole):
-            raise ParameterError(
-                "the matrix logarithm of this step is inaccurate; use plant(discrete=True)"
-            )
-        log /= self.dt
-        return log[:m, :m], log[:m, m : m + k - 1], log[:m, -1]
+        return to_continuous(self.A, self.B, self.offset, self.dt)
 
     def poles(self) -> np.ndarray:
         """Continuous poles (m,), 1/s: eig(A), or log(eig(I + dt A))/dt of a step model."""
@@ -301,7 +277,9 @@ class LatentModel(Drawable):
         if u is not None:
             given = np.asarray(u, dtype=float)
             if given.shape not in ((n_c,), (len(steps), n_c)):
-                raise DimensionError(f"u must be ({len(steps)}, {n_c}) or ({n_c},), got {given.shape}")
+                raise DimensionError(
+                    f"u must be ({len(steps)}, {n_c}) or ({n_c},), got {given.shape}"
+                )
             c[:] = given
         if not np.all(np.isfinite(c)):
             raise DataError("u holds NaN or inf")
@@ -385,7 +363,8 @@ class LatentModel(Drawable):
             np.zeros((len(C), B.shape[1])),
             self.dt if discrete else 0,
             states=states,
-            inputs=list(self.input_names),
+            # control does not allow dots in signal names
+            inputs=[n.replace(".", "_") for n in self.input_names],
             outputs=outputs,
             name=f"plant_m{self.order}",
         )
@@ -394,43 +373,16 @@ class LatentModel(Drawable):
 
     def save(self, path: str | Path) -> Path:
         """Write arrays, names and card to an npz (schema version 1), atomically; never pickle."""
-        arrays = {k: getattr(self, k) for k in _ARRAYS if getattr(self, k) is not None}
-        arrays |= {f"block {k}": v for k, v in self.blocks.items()}
-        if self.sensor is not None:
-            arrays |= {f"sensor {k}": v for k, v in self.sensor.arrays().items()}
-        metadata = {
-            "dt": self.dt,
-            "n_states": self.n_states,
-            "input_names": list(self.input_names),
-            "states": _layout_table(self.states),
-            "auxiliaries": _layout_table(self.auxiliaries),
-            "card": None if self.card is None else self.card.table(),
-            "notes": dict(self.notes),
-        }
-        return save_archive(path, _KIND, _VERSION, arrays, metadata)
+        return save_model(self, path)
 
     @classmethod
     def load(cls, path: str | Path) -> LatentModel:
         """Read back a saved model; FileFormatError for anything else."""
-        arrays, meta = load_archive(path, _KIND, _VERSION)
+        values, sensor = load_model(path)
         try:
-            model = cls(
-                **{k: arrays[k] for k in _ARRAYS if k in arrays},
-                dt=meta["dt"],
-                n_states=meta["n_states"],
-                blocks={k[6:]: v for k, v in arrays.items() if k.startswith("block ")},
-                states=_layout_from(meta["states"]),
-                auxiliaries=_layout_from(meta["auxiliaries"]),
-                input_names=tuple(meta["input_names"]),
-                card=None if meta["card"] is None else Card(**meta["card"]),
-                notes=meta["notes"],
-            )
+            return cls(**values, sensor=None if sensor is None else StiffnessSensor(**sensor))
         except (KeyError, TypeError, ValueError) as error:
             raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
-        found = {k[7:]: v for k, v in arrays.items() if k.startswith("sensor ")}
-        if found:
-            model = dataclasses.replace(model, sensor=StiffnessSensor(**found))
-        return model
 
     def __str__(self) -> str:
         kind = "continuous" if self.dt is None else f"step of {self.dt:g} s"
@@ -439,26 +391,3 @@ class LatentModel(Drawable):
             f"spectral abscissa {self.growth():.3g} 1/s"
         )
         return head if self.card is None else f"{head}\n{self.card}"
-
-
-def _hold(
-    A: np.ndarray, B: np.ndarray, b: np.ndarray, dt: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Zero-order hold over dt by one matrix exponential."""
-    m, k = A.shape[0], B.shape[1] + 1
-    whole = np.zeros((m + k, m + k))
-    whole[:m, :m], whole[:m, m:-1], whole[:m, -1] = A, B, b
-    step = sla.expm(dt * whole)
-    return step[:m, :m], step[:m, m:-1], step[:m, -1]
-
-
-def _layout_table(layout: Layout | None) -> list | None:
-    if layout is None:
-        return None
-    return [[b.name, list(b.shape), b.unit, b.role, b.kind] for b in layout]
-
-
-def _layout_from(table: list | None) -> Layout | None:
-    if table is None:
-        return None
-    return Layout([Block(n, tuple(s), u, r, k) for n, s, u, r, k in table])

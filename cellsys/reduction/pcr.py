@@ -50,40 +50,32 @@ class PCR:
                 f"PCR.difference must be 'forward' or 'backward', got {self.difference!r}"
             )
 
-    def fit(self, data: Snapshots, order: int, basis: Basis | None = None) -> LatentModel:
-        """Learn a model of order `order`; `basis` (of at least that order) is reused if given."""
-        if not data.auxiliaries.size:
-            raise DataError(
-                "PCR needs auxiliaries (eta) and W_eta; for states alone use LeastSquares()"
-            )
-        center = not self.literal
-        basis = truncated(basis, order) or fit_basis(data, order, center=center, method=self.svd)
-        difference = "backward" if self.literal else self.difference
-        n = data.states.size
-        parts = LatentParts(data, basis)
-        Z = parts.now
-        rate = (parts.eta_next - parts.eta_now) / data.dt
-        rows = np.arange(len(Z))
-        if difference == "backward":
-            rows, rate = parts.after_previous(), rate
-            rate = rate[rows - 1]
-        K, k_0, rank = regress(Z[rows], rate, center, self.rank_tolerance)
+    def fit(
+        self,
+        data: Snapshots,
+        order: int,
+        basis: Basis | None = None,
+        parts: LatentParts | None = None,
+    ) -> LatentModel:
+        """Learn a model of order `order`.
 
-        S, V = basis.scale, basis.V
-        weight = basis.inverse_scale()[:n, None] * V[:n]
-        image = data.W_x @ (S[:n, None] * V[:n]) + data.W_eta @ (S[n:, None] * V[n:])
-        A = weight.T @ image + K.T
-        b = k_0
-        if center:
-            b = b + weight.T @ (data.W_x @ basis.mean[:n] + data.W_eta @ basis.mean[n:])
+        `basis` (of at least that order) and `parts` (latent samples in it) are reused if given.
+        """
+        basis = truncated(basis, order) or fit_basis(
+            data, order, center=not self.literal, method=self.svd
+        )
+        parts = LatentParts.of(data, basis) if parts is None else parts
+        A, b, rank = self.generator(data, basis, parts)
+        n = data.states.size
+        weight = basis.inverse_scale()[:n, None] * basis.V[:n]
         B, b_u, names, explained = input_map(data, weight, self.rank_tolerance)
         return LatentModel(
             A,
             B=B,
             offset=b + b_u,
-            V=V,
+            V=basis.V,
             mean=basis.mean,
-            scale=S,
+            scale=basis.scale,
             singular_values=basis.singular_values,
             dt=data.dt,
             n_states=n,
@@ -93,34 +85,91 @@ class PCR:
             input_names=names,
             notes={
                 "method": repr(self),
-                "regression_rank": int(rank),
+                "regression_rank": rank,
                 "dropped_columns": basis.dropped,
                 "input_share_explained": explained,
                 "variance_share": float(np.sum(basis.singular_values**2) / basis.total),
             },
         )
 
+    def generator(
+        self, data: Snapshots, basis: Basis, parts: LatentParts
+    ) -> tuple[np.ndarray, np.ndarray, int]:
+        """A (m, m), b (m,) of eq. 24 and the rank of the regression, inputs apart."""
+        if not data.auxiliaries.size:
+            raise DataError(
+                "PCR needs auxiliaries (eta) and W_eta; for states alone use LeastSquares()"
+            )
+        n, S, V = data.states.size, basis.scale, basis.V
+        parts = parts.first(V.shape[1])
+        rate = (parts.eta_next - parts.eta_now) / data.dt
+        rows = np.arange(len(rate))
+        if self.literal or self.difference == "backward":
+            rows = parts.after_previous()
+            rate = rate[rows - 1]
+        K, k_0, rank = regress(parts.now[rows], rate, not self.literal, self.rank_tolerance)
+        weight = basis.inverse_scale()[:n, None] * V[:n]
+        image = data.W_x @ (S[:n, None] * V[:n]) + data.W_eta @ (S[n:, None] * V[n:])
+        A, b = weight.T @ image + K.T, k_0
+        if not self.literal:
+            b = b + weight.T @ (data.W_x @ basis.mean[:n] + data.W_eta @ basis.mean[n:])
+        return A, b, rank
 
+
+@dataclass(frozen=True, eq=False)
 class LatentParts:
-    """Latent samples split into the parts of x and of eta, now and one sample ahead."""
+    """Latent samples split into the parts of x and of eta, now and one sample ahead.
 
-    def __init__(self, data: Snapshots, basis: Basis) -> None:
+    Each is (n_samples, m); `runs` and `samples` number the rows.
+    """
+
+    x_now: np.ndarray
+    x_next: np.ndarray
+    eta_now: np.ndarray
+    eta_next: np.ndarray
+    runs: np.ndarray
+    samples: np.ndarray
+
+    @classmethod
+    def of(cls, data: Snapshots, basis: Basis) -> LatentParts:
+        """Project all used samples, in two passes over the data."""
         n = data.states.size
         weight = basis.inverse_scale()[:, None] * basis.V
-        x, eta = [[], []], [[], []]
+        x: list[list] = [[], []]
+        eta: list[list] = [[], []]
         for ahead in (0, 1):
             for piece in data.pieces(ahead, basis.mean):
                 x[ahead].append(piece[:, :n] @ weight[:n])
                 eta[ahead].append(piece[:, n:] @ weight[n:])
-        self.x_now, self.x_next = (np.concatenate(p) for p in x)
-        self.eta_now, self.eta_next = (np.concatenate(p) for p in eta)
-        self.now, self.next = self.x_now + self.eta_now, self.x_next + self.eta_next
-        self._runs = data.run_ids
-        self._ks = np.concatenate([r.usable() for r in data.runs])
+        return cls(
+            *(np.concatenate(p) for p in (*x, *eta)),
+            data.run_ids,
+            np.concatenate([r.usable() for r in data.runs]),
+        )
+
+    def first(self, order: int) -> LatentParts:
+        """The first `order` coordinates."""
+        cut = (a[:, :order] for a in (self.x_now, self.x_next, self.eta_now, self.eta_next))
+        return LatentParts(*cut, self.runs, self.samples)
+
+    def where(self, rows: np.ndarray) -> LatentParts:
+        """A selection of samples."""
+        names = ("x_now", "x_next", "eta_now", "eta_next", "runs", "samples")
+        return LatentParts(*(getattr(self, name)[rows] for name in names))
+
+    @property
+    def now(self) -> np.ndarray:
+        """z at the samples."""
+        return self.x_now + self.eta_now
+
+    @property
+    def next(self) -> np.ndarray:
+        """z one sample later."""
+        return self.x_next + self.eta_next
 
     def after_previous(self) -> np.ndarray:
         """Rows whose previous sample belongs to the same run and is used too."""
-        same = (self._runs[1:] == self._runs[:-1]) & (np.diff(self._ks) == 1)
+        same = (self.runs[1:] == self.runs[:-1]) & (np.diff(self.samples) == 1)
         return np.flatnonzero(same) + 1
 
 
@@ -169,12 +218,11 @@ def input_map(
     if not data.has_u:
         return np.zeros((m, 0)), np.zeros(m), (), None
     if data.command_names:
-        u = data.stacked("u")
+        moving, u = data.moving_input
         F, names = data.varying_commands()
-        moving = np.flatnonzero(np.any(u != 0, axis=0))
-        U, u_0, _ = regress(F, u[:, moving], True, tolerance)
-        left = u[:, moving] - F @ U - u_0
-        spread = u[:, moving] - u[:, moving].mean(axis=0)
+        U, u_0, _ = regress(F, u, True, tolerance)
+        left = u - F @ U - u_0
+        spread = u - u.mean(axis=0)
         total = float(np.sum(spread**2))
         share = 1.0 - float(np.sum(left**2)) / total if total > 0 else None
         return (U @ weight[moving]).T, u_0 @ weight[moving], names, share

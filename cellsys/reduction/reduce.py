@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from cellsys.errors import ParameterError
 from cellsys.reduction.basis import Basis, fit_basis
-from cellsys.reduction.card import assess, encode_start
+from cellsys.reduction.card import Encoded, assess, encode_start
 from cellsys.reduction.model import LatentModel
-from cellsys.reduction.pcr import PCR
+from cellsys.reduction.pcr import PCR, LatentParts
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import Snapshots
 
@@ -52,35 +53,69 @@ def reduce(
     method = PCR() if method is None else method
     if order is None:
         order, basis = _order_for(data, float(tol), getattr(method, "svd", None))
-    model = method.fit(data, order, basis)
-    model = dataclasses.replace(
-        model, z_start=start_of(model, data), sensor=sensor_of(model, data, test)
-    )
-    return dataclasses.replace(model, card=assess(model, data, test))
+    return complete(method.fit(data, order, basis), data, test)
 
 
-def start_of(model: LatentModel, data: Snapshots) -> np.ndarray:
-    """Mean over runs of the encoded start."""
-    return np.mean([encode_start(model, run) for run in data.runs], axis=0)
+def reduce_orders(
+    data: Snapshots,
+    methods: Sequence[Any],
+    orders: Sequence[int],
+    test: Snapshots | None = None,
+    basis: Basis | None = None,
+    parts: LatentParts | None = None,
+    encoded: Encoded | None = None,
+) -> Iterator[LatentModel]:
+    """Models of every method and order in one basis; the data are projected only once.
+
+    Same models and cards as `reduce` with that basis. `parts` and `encoded`, the samples in it,
+    are reused if given.
+    """
+    basis = fit_basis(data, max(orders)) if basis is None else basis
+    parts = LatentParts.of(data, basis) if parts is None else parts
+    for method in methods:
+        for order in orders:
+            model = method.fit(data, order, basis, parts)
+            if encoded is None:
+                large = LatentModel(
+                    np.zeros((basis.V.shape[1],) * 2),
+                    V=basis.V,
+                    mean=basis.mean,
+                    scale=basis.scale,
+                    n_states=data.states.size,
+                )
+                encoded = Encoded.of(large, data, test)
+            yield complete(model, data, test, encoded)
+
+
+def complete(
+    model: LatentModel,
+    data: Snapshots,
+    test: Snapshots | None = None,
+    encoded: Encoded | None = None,
+) -> LatentModel:
+    """The model with its start, its sensor and its card."""
+    encoded = Encoded.of(model, data, test) if encoded is None else encoded
+    start = np.mean([encode_start(model, run) for run in data.runs], axis=0)
+    model = dataclasses.replace(model, z_start=start, sensor=sensor_of(model, data, test, encoded))
+    return dataclasses.replace(model, card=assess(model, data, test, encoded))
 
 
 def sensor_of(
-    model: LatentModel, data: Snapshots, test: Snapshots | None
+    model: LatentModel, data: Snapshots, test: Snapshots | None, encoded: Encoded
 ) -> StiffnessSensor | None:
     """The sensor of a one-cell model whose runs recorded a sensed direction; else None."""
     if any(run.d is None or run.d.shape[1] != 1 for run in data.runs):
         return None
 
-    def samples(of: Snapshots) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        latent, directions = [], []
-        for run in of.runs:
-            ks = run.usable()
-            eta = None if run.eta is None else np.asarray(run.eta)[ks]
-            latent.append(model.encode(np.asarray(run.x)[ks], eta))
-            directions.append(np.asarray(run.d)[ks, 0])
-        return latent, directions
+    def samples(of: Snapshots, latents: list[np.ndarray]) -> tuple[list, list]:
+        kept = [run.usable() for run in of.runs]
+        return (
+            [z[ks, : model.order] for z, ks in zip(latents, kept, strict=True)],
+            [np.asarray(run.d)[ks, 0] for run, ks in zip(of.runs, kept, strict=True)],
+        )
 
-    return fit_sensor(*samples(data), *(samples(test) if test is not None else (None, None)))
+    held = samples(test, encoded.test) if test is not None else (None, None)
+    return fit_sensor(*samples(data, encoded.training), *held)
 
 
 def _order_for(data: Snapshots, tol: float, svd: Any) -> tuple[int, Basis]:

@@ -77,7 +77,9 @@ class StiffnessSensor:
 def angle_error(predicted: np.ndarray, true: np.ndarray) -> float:
     """Mean angle between rows, deg; a zero prediction counts as 90 deg."""
     norm = np.linalg.norm(predicted, axis=1) * np.linalg.norm(true, axis=1)
-    cosine = np.divide((predicted * true).sum(axis=1), norm, out=np.zeros(len(true)), where=norm > 0)
+    cosine = np.divide(
+        (predicted * true).sum(axis=1), norm, out=np.zeros(len(true)), where=norm > 0
+    )
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean())
 
 
@@ -106,7 +108,9 @@ def fit_sensor(
 
     def score(ridge: float) -> float:
         if len(latent) == 1:
-            return angle_error(_predict(_ridge(latent, directions, ridge), latent[0]), directions[0])
+            return angle_error(
+                _predict(_ridge(latent, directions, ridge), latent[0]), directions[0]
+            )
         total = 0.0
         for i in range(len(latent)):
             others = [k for k in range(len(latent)) if k != i]

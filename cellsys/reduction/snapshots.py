@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -162,6 +163,22 @@ class Snapshots:
             parts.append(np.zeros((len(ks), width)) if value is None else np.asarray(value)[ks])
         return np.concatenate(parts)
 
+    @cached_property
+    def moving_input(self) -> tuple[np.ndarray, np.ndarray]:
+        """Columns of u that are ever non-zero, and u (n_samples, columns) there."""
+        n, used = self.states.size, np.zeros(self.states.size, bool)
+        for run in self.runs:
+            if run.u is not None:
+                for start in range(0, len(run.u), ROWS):
+                    used |= np.any(run.u[start : start + ROWS] != 0, axis=0)
+        columns = np.flatnonzero(used)
+        parts = []
+        for run in self.runs:
+            ks = run.usable()
+            empty = np.zeros((len(ks), n))
+            parts.append((empty if run.u is None else np.asarray(run.u)[ks])[:, columns])
+        return columns, np.concatenate(parts)
+
     def varying_commands(self) -> tuple[np.ndarray, tuple[str, ...]]:
         """Commands of all used samples without those that never vary, and their names.
 
@@ -169,9 +186,7 @@ class Snapshots:
         """
         table = self.stacked("commands")
         keep = np.ptp(table, axis=0) > 1e-12
-        return table[:, keep], tuple(
-            n for n, k in zip(self.command_names, keep, strict=True) if k
-        )
+        return table[:, keep], tuple(n for n, k in zip(self.command_names, keep, strict=True) if k)
 
     def commands_of(self, run: RunData, names: tuple[str, ...]) -> np.ndarray | None:
         """The named commands of one run (T - 1, len(names))."""
@@ -355,9 +370,7 @@ def command_features(
         shape = np.array([heading_features(row) for row in p[:, c]]).reshape(len(p), 4)
         a = np.ones(len(p)) if amplitude is None else amplitude[:, c]
         features.append(np.column_stack([a, a[:, None] * shape]))
-        names += [
-            f"cell{c + 1}.{n}" for n in ("amplitude", "cos", "sin", "cos2", "sin2")
-        ]
+        names += [f"cell{c + 1}.{n}" for n in ("amplitude", "cos", "sin", "cos2", "sin2")]
     return np.concatenate(features, axis=1), tuple(names)
 
 

@@ -10,10 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
+from cellsys.errors import FileFormatError
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.simulate import record_shapes, simulate, trajectory_of
 from cellsys.mechanics.commands import Commands, History
+from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.scene.build import build
+from cellsys.scene.parse import scene_from_plain
 from cellsys.scene.scene import Scene
 from cellsys.store.runs import RunReader, RunWriter
 from cellsys.system import Event
@@ -88,18 +91,37 @@ def run_scene(
             sink=writer,
             progress=progress,
         )
-        writer.finish(
-            {"statistics": dict(run.statistics), "events": [list(e) for e in run.events]}
-        )
-    reader = RunReader(target)
+        writer.finish({"statistics": dict(run.statistics), "events": [list(e) for e in run.events]})
+    return _trajectory(RunReader(target), system, scene.times, scene.name)
+
+
+def _trajectory(
+    reader: RunReader, system: SpreadingSystem, t: np.ndarray, label: str
+) -> Trajectory:
     return trajectory_of(
         system,
-        scene.times,
+        t,
         reader.arrays,
         tuple(Event(*e) for e in reader.metadata["events"]),
         reader.metadata["statistics"],
-        scene.name,
+        label,
     )
+
+
+def read_run(folder: str | Path) -> Trajectory:
+    """A run folder of the cache, read back without its scene file.
+
+    Raises
+    ------
+    FileFormatError
+        When the folder does not hold a complete run.
+    """
+    reader = RunReader(folder)
+    try:
+        scene = scene_from_plain(reader.header["scene"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileFormatError(f"{str(folder)!r} does not hold a run of a scene: {error}") from error
+    return _trajectory(reader, build(scene), scene.times, scene.name)
 
 
 def _run_into(scene: Scene, folder: str) -> None:

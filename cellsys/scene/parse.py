@@ -324,3 +324,54 @@ def _explain(item: Mapping[str, Any]) -> str:
     if isinstance(value, float) and not math.isfinite(value):
         shown = f"{value}"
     return f"{path}: {message} (got {shown})"
+
+
+def scene_from_plain(table: Mapping[str, Any]) -> Scene:
+    """A scene from what `Scene.canonical` gave (values in internal units)."""
+
+    def history(value: Any) -> History | None:
+        return None if value is None else History(tuple(value["times"]), tuple(value["values"]))
+
+    def commands(value: Any) -> Commands | None:
+        if value is None:
+            return None
+        return Commands(history(value["heading"]), history(value["amplitude"]))
+
+    def effects(values: Mapping[str, Any]) -> dict[str, Effect]:
+        out = {}
+        for name, given in values.items():
+            fields = {k: v for k, v in given.items() if k != "effect"}
+            if isinstance(fields.get("history"), Mapping):
+                fields["history"] = history(fields["history"])
+            out[name] = EFFECTS[given["effect"]](**fields)
+        return out
+
+    matrix = table["matrix"]
+    if matrix is not None:
+        inclusion, gradient = matrix["inclusion"], matrix["gradient"]
+        if inclusion is not None:
+            inclusion = Inclusion(**{**inclusion, "center": tuple(inclusion["center"])})
+        gradient = None if gradient is None else Gradient(**gradient)
+        matrix = MatrixScene(**{**matrix, "inclusion": inclusion, "gradient": gradient})
+    cells = tuple(
+        CellScene(
+            tuple(c["position"]),
+            c["polarity"],
+            c["radius"],
+            effects(c["effects"]),
+            commands(c["commands"]),
+        )
+        for c in table["cells"]
+    )
+    return Scene(
+        name=table["name"],
+        duration=table["duration"],
+        sample=table["sample"],
+        effects=effects(table["effects"]),
+        cells=cells,
+        matrix=matrix,
+        commands=commands(table["commands"]) or Commands(),
+        training=Training(**table["training"]),
+        seed=table["seed"],
+        step=table["step"],
+    )

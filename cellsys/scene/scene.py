@@ -116,7 +116,9 @@ class Scene:
         if not self.cells and self.matrix is None:
             raise SceneError("a scene needs [[cells]] or a [matrix]")
         if "drag" not in self.effects:
-            raise SceneError("effects.drag is missing: without drag nothing has a rate; add drag = {}")
+            raise SceneError(
+                "effects.drag is missing: without drag nothing has a rate; add drag = {}"
+            )
         self._check_effects()
         self._check_places()
 
@@ -129,7 +131,9 @@ class Scene:
                     if need not in present:
                         raise SceneError(f"{where}.{name} needs {need}; add {need} = {{}} to it")
                 if effect.acts_on == "cell" and not self.cells:
-                    raise SceneError(f"effects.{name} acts on a cell, and the scene has no [[cells]]")
+                    raise SceneError(
+                        f"effects.{name} acts on a cell, and the scene has no [[cells]]"
+                    )
                 if effect.acts_on == "matrix" and self.matrix is None:
                     raise SceneError(f"effects.{name} acts on the matrix, and there is no [matrix]")
             for name, effect in cell.effects.items():
@@ -137,8 +141,12 @@ class Scene:
                     raise SceneError(
                         f"{where}.{name} does not act on a single cell; move it to [effects]"
                     )
-        if (self.commands.heading or self.commands.amplitude) and "lamellipodium" not in self.effects:
-            raise SceneError("commands steer the lamellipodium, and effects.lamellipodium is missing")
+        if (
+            self.commands.heading or self.commands.amplitude
+        ) and "lamellipodium" not in self.effects:
+            raise SceneError(
+                "commands steer the lamellipodium, and effects.lamellipodium is missing"
+            )
 
     def _check_places(self) -> None:
         for i, a in enumerate(self.cells):

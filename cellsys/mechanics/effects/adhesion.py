@@ -157,7 +157,7 @@ class SurfaceBins:
 
 
 class ClutchElement(Element):
-    """Clutches of one cell: takes from the cell what it gives to the matrix, by the same weights."""
+    """Clutches of one cell: what the cell loses the matrix gains, by the same weights."""
 
     def __init__(self, effect: FocalAdhesion, cell: CellBody, disc: Disc) -> None:
         self.effect, self.disc = effect, disc
@@ -268,7 +268,5 @@ class ClutchElement(Element):
         return (
             Stiffness(self.array, (0, 1), lambda: diagonal(e.stiffness * n), None),
             Stiffness(self.array, (2,), lambda: diagonal(e.zipper * n), None),
-            Stiffness(
-                MATRIX, (0, 1, 2), lambda: diagonal(greatest * self._load), self._load_key
-            ),
+            Stiffness(MATRIX, (0, 1, 2), lambda: diagonal(greatest * self._load), self._load_key),
         )

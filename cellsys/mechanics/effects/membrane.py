@@ -89,17 +89,15 @@ def area_bound(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Edge weights whose graph Laplacian bounds the tangent of `area_forces`.
 
-    With T = dE/dA and g_k = dA/dx_k: (sum g_k.d_k)^2 <= sum over edges |g_k - g_l|^2 |d_k - d_l|^2/3
-    because the g_k sum to zero; the change of g_k is bounded by T/2 in the plane and by the
-    same inequality for the gradients of the shape functions out of it.
+    With T = dE/dA and g_k = dA/dx_k, which sum to zero, (sum of g_k.d_k)^2 is at most the sum over
+    edges of |g_k - g_l|^2 |d_k - d_l|^2 / 3. The change of g_k is bounded by T/2 in the plane and
+    by the same inequality for the gradients of the shape functions out of it.
 
     Returns (pairs (3 n_triangles, 2), weights (3 n_triangles,)), pN/um.
     """
     corner = x[triangles]
     opposite = corner[:, [2, 0, 1]] - corner[:, [1, 2, 0]]
-    area = 0.5 * np.sqrt(
-        (np.cross(opposite[:, 0], opposite[:, 1]) ** 2).sum(axis=1) + _SOFT
-    )
+    area = 0.5 * np.sqrt((np.cross(opposite[:, 0], opposite[:, 1]) ** 2).sum(axis=1) + _SOFT)
     J = area / rest
     low = np.minimum(J, 1.0)
     pull = stiffness * np.where(J >= 1.0, J - 1.0, (low - 1.0) / low**3) + tension
@@ -163,9 +161,9 @@ class _MembraneElement(Element):
     def energy(self, s: Configuration) -> float:
         e, m, x = self.effect, self.mesh, s.nodes[self.array]
         scrap = np.zeros_like(x)
-        return line_forces(
-            x, m.edges, m.edge_length, e.line, e.stiffening, scrap
-        ) + area_forces(x, m.triangles, m.triangle_area, e.area, 0.0, scrap)
+        return line_forces(x, m.edges, m.edge_length, e.line, e.stiffening, scrap) + area_forces(
+            x, m.triangles, m.triangle_area, e.area, 0.0, scrap
+        )
 
     def stiffness(self, s: Configuration) -> tuple[Stiffness, ...]:
         return (Stiffness(self.array, (0, 1, 2), lambda: self._bound(s), None),)
@@ -176,9 +174,7 @@ class _MembraneElement(Element):
         excess = ((length - m.edge_length) / m.edge_length) ** 2
         weight = e.line * (1.0 + 3.0 * e.stiffening * excess)
         lines = laplacian(len(x), m.edges, weight)
-        return lines + laplacian(
-            len(x), *area_bound(x, m.triangles, m.triangle_area, e.area, 0.0)
-        )
+        return lines + laplacian(len(x), *area_bound(x, m.triangles, m.triangle_area, e.area, 0.0))
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,9 @@ def check_parameters(effect: Any) -> None:
             continue
         unit = "" if meta["unit"] == "1" else f" {meta['unit']}"
         if isinstance(value, bool) or not isinstance(value, (int, float, np.floating)):
-            raise ParameterError(f"{label} must be a number in{unit or ' plain units'}, got {value!r}")
+            raise ParameterError(
+                f"{label} must be a number in{unit or ' plain units'}, got {value!r}"
+            )
         if not np.isfinite(value):
             raise ParameterError(f"{label} must be finite, got {value!r}")
         for word, bound, wrong in (

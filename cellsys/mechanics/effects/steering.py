@@ -51,7 +51,7 @@ class Lamellipodium(Effect):
         super().__post_init__()
         if not self.full > self.edge:
             raise SceneError(
-                f"lamellipodium.full must be > lamellipodium.edge = {self.edge:g}, got {self.full:g}"
+                f"lamellipodium.full must be > edge = {self.edge:g}, got {self.full:g}"
             )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
@@ -115,7 +115,9 @@ class StiffnessSensing(Effect):
         source="numerics II.4",
         about="nodal tangent stiffness, or tensile stress (the loop then circles for ever)",
     )
-    reach: float = parameter("14 um", "um", above=0.0, source="numerics II.1", about="sensing range")
+    reach: float = parameter(
+        "14 um", "um", above=0.0, source="numerics II.1", about="sensing range"
+    )
     inner: float = parameter(
         "4 um", "um", least=0.0, source="mechanics 3", about="inner radius of the stress shell"
     )
@@ -224,7 +226,7 @@ class _LoadElement(Element):
         weight *= mask
         if not weight.any():
             raise SceneError(
-                f"external_load at ({effect.x:g}, {effect.y:g}) um with radius {effect.radius:g} um "
+                f"external_load at ({effect.x:g}, {effect.y:g}) um, radius {effect.radius:g} um, "
                 "covers no free matrix node; move it inside the disc or enlarge it"
             )
         unit = np.array([np.cos(effect.direction), np.sin(effect.direction), 0.0])

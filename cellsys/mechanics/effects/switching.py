@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellsys.laws.bell import (
-    bell_off_rate,
     bond_number_rate,
     bond_number_step,
     contraction_rate,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-
 import numpy as np
 from scipy.spatial import ConvexHull
 
@@ -75,7 +74,9 @@ def sphere(radius: float, center: tuple[float, float, float], n_nodes: int = NOD
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0
     triangles[inward] = triangles[inward][:, ::-1]
     triangles = triangles[np.lexsort(triangles.T)]
-    pairs = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]))
+    pairs = np.sort(
+        np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    )
     edges = np.unique(pairs, axis=0)
     return Membrane(radius * unit + np.asarray(center, float), triangles, edges)
 

@@ -1,0 +1,72 @@
+"""The polarity loop, reduced against full-order, from several initial polarities.
+
+python analysis/closed_loop_polarity.py [--quick] [--runs DIR] [--out DIR]
+"""
+
+import argparse
+import dataclasses
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import cellsys as cs
+
+SCENE = Path(__file__).parents[1] / "examples" / "spreading.toml"
+
+
+def heading(p: np.ndarray) -> np.ndarray:
+    return np.degrees(np.arctan2(p[:, 0, 1], p[:, 0, 0]))
+
+
+def main(quick: bool = False, runs: str | None = None, out: str | None = None) -> None:
+    scene = cs.load_scene(SCENE)
+    starts, order = (120.0, -60.0, 200.0), 10
+    if quick:
+        plan = dataclasses.replace(scene.training, runs=4, held_out=1, duration=60.0)
+        scene, starts, order = dataclasses.replace(scene, training=plan, duration=60.0), (120.0,), 5
+    full = [
+        dataclasses.replace(
+            scene, cells=(dataclasses.replace(scene.cells[0], polarity=float(np.radians(a))),)
+        )
+        for a in starts
+    ]
+    with tempfile.TemporaryDirectory() as scratch:
+        train, _ = cs.training_scenes(scene)
+        ran = cs.run_ensemble(train + full, runs or scratch)
+        data = cs.snapshots(ran[: len(train)])
+        model = cs.reduce(data, order=order, method=cs.PCR())
+        truth = [(r.t, np.array(r.p)) for r in ran[len(train) :]]
+    curves = {}
+    for start, (t, p) in zip(starts, truth, strict=True):
+        loop = cs.closed_loop(model, controller=cs.PolarityLaw(), p0=p[0, 0])
+        run = loop.simulate(t, cs.CVODES(rtol=1e-8, atol=1e-8))
+        gap = (heading(run.p) - heading(p) + 180.0) % 360.0 - 180.0
+        print(
+            f"start {start:6.1f} deg: heading at the end {heading(p)[-1]:7.1f} (full) "
+            f"{heading(run.p)[-1]:7.1f} (reduced); error {np.sqrt(np.mean(gap**2)):.1f} deg rms"
+        )
+        curves[start] = (t, heading(p), heading(run.p))
+    print(model.card.verdict)
+    if out is not None:
+        from matplotlib.figure import Figure
+
+        Path(out).mkdir(parents=True, exist_ok=True)
+        figure = Figure(figsize=(8, 4.2), layout="constrained")
+        ax = figure.subplots()
+        for k, (start, (t, a, b)) in enumerate(curves.items()):
+            ax.plot(t, a, "-", color=f"C{k}", label=f"{start:g} deg, full order")
+            ax.plot(t, b, "--", color=f"C{k}", label=f"{start:g} deg, reduced")
+        ax.set(xlabel="time (s)", ylabel="heading (deg)", ylim=(-185, 185))
+        ax.legend(fontsize="small")
+        ax.grid(alpha=0.3)
+        figure.savefig(Path(out) / "closed_loop_polarity.png", dpi=110)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--runs", help="run cache to use and fill")
+    parser.add_argument("--out", help="folder for the figure")
+    options = parser.parse_args()
+    main(options.quick, options.runs, options.out)

@@ -1,0 +1,107 @@
+from .errors import (
+    BudgetError,
+    CellsysError,
+    DataError,
+    DimensionError,
+    FileFormatError,
+    IntegrationError,
+    MissingExtraError,
+    NotSymbolicError,
+    ParameterError,
+    RankError,
+    RepresentationError,
+    SceneError,
+    UnitError,
+)
+from .integrate import (
+    CVODES,
+    DOP853,
+    LSODA,
+    ExplicitEuler,
+    LinearlyImplicit,
+    Radau,
+    RungeKutta4,
+    simulate,
+    stability_limit,
+)
+from .loop import (
+    ClosedLoop,
+    MPol,
+    Perturb,
+    PolarityLaw,
+    Stay,
+    closed_loop,
+)
+from .mechanics.commands import Commands, History
+from .observe import contact_radius, node_speed, summary_of_run
+from .reduction import (
+    PCR,
+    Basis,
+    Card,
+    ExactSVD,
+    LatentModel,
+    LeastSquares,
+    PoleCertainty,
+    RandomisedSVD,
+    RunData,
+    Snapshots,
+    StiffnessSensor,
+    assess,
+    fit_basis,
+    fit_sensor,
+    pole_certainty,
+    reduce,
+    reduce_orders,
+    snapshots,
+)
+from .response import (
+    Realization,
+    RootSet,
+    Tustin,
+    ZeroOrderHold,
+    balanced_truncation,
+    c2d,
+    controllability_gramian,
+    d2c,
+    damping,
+    error_system,
+    forced_response,
+    frequency_response,
+    h2_norm,
+    hankel_singular_values,
+    hinf_norm,
+    impulse_response,
+    margins,
+    norm,
+    observability_gramian,
+    participation,
+    poles,
+    pseudospectra,
+    pseudospectral_abscissa,
+    realization,
+    root_locus,
+    sensitivity,
+    stability,
+    step_response,
+    zeros,
+)
+from .scene import (
+    Scene,
+    build,
+    load_scene,
+    run_ensemble,
+    run_scene,
+    scene_schema,
+    training_scenes,
+)
+from .study import study
+from .system import (
+    Block,
+    Event,
+    Layout,
+    OdeSystem,
+    OverdampedSystem,
+)
+from .trajectory import Trajectory
+from .units import quantity
+from .version import __version__

@@ -1,0 +1,66 @@
+"""Read-outs of a spreading run: node speeds, contact radius, height, path of the centre."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellsys.errors import DataError
+from cellsys.trajectory import Trajectory
+
+CONTACT_HEIGHT = 1.0  # um: nodes below this count as in contact
+
+
+def node_speed(run: Trajectory, block: str) -> np.ndarray:
+    """Speed of every node in every sampling interval (T - 1, n), um/s."""
+    x = run.block(block)
+    if len(x) < 2:
+        raise DataError("a speed needs at least two samples")
+    return np.linalg.norm(np.diff(x, axis=0), axis=2) / np.diff(run.t)[:, None]
+
+
+def contact_radius(position: np.ndarray) -> float:
+    """Largest horizontal distance from the centroid of a node in contact, um; 0 without one."""
+    low = position[:, 2] < CONTACT_HEIGHT
+    if not low.any():
+        return 0.0
+    return float(np.hypot(*(position[low, :2] - position[:, :2].mean(axis=0)).T).max())
+
+
+def summary_of_run(run: Trajectory, rest: np.ndarray | None = None) -> dict[str, float]:
+    """Magnitudes of a one-cell run, in um and nm/s.
+
+    Parameters
+    ----------
+    run : Trajectory
+        With the block ``cell1.position``.
+    rest : (N, 3), optional
+        Rest positions of the matrix nodes, for the speeds under the cell and near the rim.
+
+    Returns
+    -------
+    dict
+        Crawl distance, contact radii and heights at start and end, mean membrane speed, and with
+        `rest` the 99th percentile of matrix speed under the cell (within 12 um of its centre),
+        the mean near the rim (outer 13 % of the radius), and the greatest displacement.
+    """
+    x = run.block("cell1.position")
+    centre = x.mean(axis=1)
+    out = {
+        "crawl_um": float(np.linalg.norm(centre[-1] - centre[0])),
+        "contact_radius_start_um": contact_radius(x[0]),
+        "contact_radius_end_um": contact_radius(x[-1]),
+        "height_start_um": float(np.ptp(x[0, :, 2])),
+        "height_end_um": float(np.ptp(x[-1, :, 2])),
+        "membrane_speed_mean_nm_s": 1e3 * float(node_speed(run, "cell1.position").mean()),
+    }
+    if rest is None or "matrix.displacement" not in run.states:
+        return out
+    speed = 1e3 * node_speed(run, "matrix.displacement")
+    r = np.hypot(rest[:, 0], rest[:, 1])
+    off = np.hypot(rest[None, :, 0] - centre[:-1, None, 0], rest[None, :, 1] - centre[:-1, None, 1])
+    u = run.block("matrix.displacement")
+    return out | {
+        "matrix_speed_p99_under_cell_nm_s": float(np.percentile(speed[off < 12.0], 99)),
+        "matrix_speed_mean_rim_nm_s": float(speed[:, r > 0.87 * r.max()].mean()),
+        "matrix_displacement_max_um": float(np.linalg.norm(u, axis=2).max()),
+    }

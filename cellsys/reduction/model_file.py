@@ -1,0 +1,71 @@
+"""Model files: arrays, names and card in one npz with a schema version; never pickle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import FileFormatError
+from cellsys.reduction.card import Card
+from cellsys.store.archive import load_archive, save_archive
+from cellsys.system import Block, Layout
+
+ARRAYS = ("A", "B", "offset", "V", "mean", "scale", "singular_values", "z_start")
+_KIND, _VERSION = "latent model", 1
+
+
+def save_model(model: Any, path: str | Path) -> Path:
+    """Write a `LatentModel`, atomically; returns the file's path."""
+    arrays = {k: getattr(model, k) for k in ARRAYS if getattr(model, k) is not None}
+    arrays |= {f"block {k}": v for k, v in model.blocks.items()}
+    if model.sensor is not None:
+        arrays |= {f"sensor {k}": v for k, v in model.sensor.arrays().items()}
+    metadata = {
+        "dt": model.dt,
+        "n_states": model.n_states,
+        "input_names": list(model.input_names),
+        "states": _layout_table(model.states),
+        "auxiliaries": _layout_table(model.auxiliaries),
+        "card": None if model.card is None else model.card.table(),
+        "notes": dict(model.notes),
+    }
+    return save_archive(path, _KIND, _VERSION, arrays, metadata)
+
+
+def load_model(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray] | None]:
+    """Fields of the model in a file, and the arrays of its sensor (None without one).
+
+    Raises
+    ------
+    FileNotFoundError, FileFormatError
+    """
+    arrays, meta = load_archive(path, _KIND, _VERSION)
+    try:
+        values = {k: arrays[k] for k in ARRAYS if k in arrays} | {
+            "dt": meta["dt"],
+            "n_states": meta["n_states"],
+            "blocks": {k[6:]: v for k, v in arrays.items() if k.startswith("block ")},
+            "states": _layout_from(meta["states"]),
+            "auxiliaries": _layout_from(meta["auxiliaries"]),
+            "input_names": tuple(meta["input_names"]),
+            "card": None if meta["card"] is None else Card(**meta["card"]),
+            "notes": meta["notes"],
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
+    sensor = {k[7:]: v for k, v in arrays.items() if k.startswith("sensor ")}
+    return values, sensor or None
+
+
+def _layout_table(layout: Layout | None) -> list | None:
+    if layout is None:
+        return None
+    return [[b.name, list(b.shape), b.unit, b.role, b.kind] for b in layout]
+
+
+def _layout_from(table: list | None) -> Layout | None:
+    if table is None:
+        return None
+    return Layout([Block(n, tuple(s), u, r, k) for n, s, u, r, k in table])

@@ -1,0 +1,55 @@
+"""Between the generator of a step and a continuous affine model (zero-order hold)."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.errors import ParameterError
+
+Affine = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def hold(A: np.ndarray, B: np.ndarray, b: np.ndarray, dt: float) -> Affine:
+    """(A_d, B_d, b_d) of z+ = A_d z + B_d c + b_d for z' = A z + B c + b with c held over dt s."""
+    m, k = A.shape[0], B.shape[1] + 1
+    whole = np.zeros((m + k, m + k))
+    whole[:m, :m], whole[:m, m:-1], whole[:m, -1] = A, B, b
+    step = sla.expm(dt * whole)
+    return step[:m, :m], step[:m, m:-1], step[:m, -1]
+
+
+def to_continuous(A: np.ndarray, B: np.ndarray, b: np.ndarray, dt: float) -> Affine:
+    """Continuous (A_c, B_c, b_c) whose zero-order hold over dt is z+ = z + dt (A z + B c + b).
+
+    log [[I + dt A, dt B, dt b], [0, I]] / dt.
+
+    Raises
+    ------
+    ParameterError
+        Where I + dt A has an eigenvalue on the closed negative real axis (no real continuous
+        model steps like that), or the logarithm is inaccurate.
+    """
+    m = A.shape[0]
+    step = np.eye(m) + dt * A
+    eigenvalues = sla.eigvals(step)
+    bad = (eigenvalues.real <= 0) & (
+        np.abs(eigenvalues.imag) <= 1e-12 * np.abs(eigenvalues).max(initial=1.0)
+    )
+    if bad.any():
+        raise ParameterError(
+            f"no continuous model: I + dt A has {int(bad.sum())} eigenvalue(s) <= 0, the first "
+            f"{eigenvalues[bad][0].real:.3g}; use plant(discrete=True) or a lower order"
+        )
+    extra = np.column_stack([B, b])
+    k = extra.shape[1]
+    whole = np.block([[step, dt * extra], [np.zeros((k, m)), np.eye(k)]])
+    log = sla.logm(whole)
+    if np.iscomplexobj(log):
+        log = log.real
+    if np.linalg.norm(sla.expm(log) - whole) > 1e-6 * np.linalg.norm(whole):
+        raise ParameterError(
+            "the matrix logarithm of this step is inaccurate; use plant(discrete=True)"
+        )
+    log = log / dt
+    return log[:m, :m], log[:m, m : m + k - 1], log[:m, -1]

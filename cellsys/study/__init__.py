@@ -1,0 +1,21 @@
+"""The main job: scene to report.
+
+``cs.study(scene, out=...)`` and ``import cellsys.study`` share one name, so the module itself
+can be called.
+"""
+
+import sys
+from types import ModuleType
+from typing import Any
+
+from cellsys.study.run import StudyResult, study
+
+__all__ = ["StudyResult", "study"]
+
+
+class _CallableModule(ModuleType):
+    def __call__(self, *args: Any, **options: Any) -> StudyResult:
+        return study(*args, **options)
+
+
+sys.modules[__name__].__class__ = _CallableModule

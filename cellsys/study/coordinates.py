@@ -1,0 +1,93 @@
+"""Basis and latent samples of a study, kept beside its runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from cellsys.errors import FileFormatError
+from cellsys.reduction import Basis, Snapshots
+from cellsys.reduction.basis import fit_basis
+from cellsys.reduction.card import Encoded, mean_motion
+from cellsys.reduction.model import LatentModel
+from cellsys.reduction.pcr import LatentParts
+from cellsys.store import fingerprint, load_archive, save_archive
+from cellsys.version import __version__
+
+_KIND = "coordinates"
+
+
+class Coordinates(NamedTuple):
+    """One basis and all runs in it: what every smaller model of a sweep is cut from."""
+
+    basis: Basis
+    parts: LatentParts
+    encoded: Encoded
+
+
+def learn_coordinates(data: Snapshots, test: Snapshots, order: int, path: Path) -> Coordinates:
+    """Fit the basis and encode all runs, or read both back from `path`.
+
+    The file is used when it was made from the same data (labels, sizes, first and last rows),
+    order and version; anything else is made again.
+    """
+    key = fingerprint(
+        __version__,
+        order,
+        data.scale,
+        [r.label for r in (*data.runs, *test.runs)],
+        *(np.asarray(r.x[i]) for r in (*data.runs, *test.runs) for i in (0, -1)),
+    )
+    try:
+        arrays, meta = load_archive(path, _KIND, 1)
+        if meta.get("key") == key:
+            return _unpack(arrays, meta, data)
+    except (FileNotFoundError, FileFormatError, KeyError):
+        pass
+    basis = fit_basis(data, order)
+    parts = LatentParts.of(data, basis)
+    large = LatentModel(
+        np.zeros((order, order)),
+        V=basis.V,
+        mean=basis.mean,
+        scale=basis.scale,
+        n_states=data.states.size,
+    )
+    encoded = Encoded.of(large, data, test)
+    arrays = {
+        "V": basis.V,
+        "singular_values": basis.singular_values,
+        "mean": basis.mean,
+        "scale": basis.scale,
+        "x_now": parts.x_now,
+        "x_next": parts.x_next,
+        "eta_now": parts.eta_now,
+        "eta_next": parts.eta_next,
+    }
+    arrays |= {f"training {i}": z for i, z in enumerate(encoded.training)}
+    arrays |= {f"test {i}": z for i, z in enumerate(encoded.test)}
+    save_archive(
+        path, _KIND, 1, arrays, {"key": key, "total": basis.total, "dropped": basis.dropped}
+    )
+    return Coordinates(basis, parts, encoded)
+
+
+def _unpack(arrays: dict, meta: dict, data: Snapshots) -> Coordinates:
+    basis = Basis(
+        arrays["V"],
+        arrays["singular_values"],
+        arrays["mean"],
+        arrays["scale"],
+        meta["total"],
+        meta["dropped"],
+    )
+    parts = LatentParts(
+        *(arrays[k] for k in ("x_now", "x_next", "eta_now", "eta_next")),
+        data.run_ids,
+        np.concatenate([r.usable() for r in data.runs]),
+    )
+    training = [arrays[f"training {i}"] for i in range(len(data.runs))]
+    test = [v for k, v in arrays.items() if k.startswith("test ")]
+    return Coordinates(basis, parts, Encoded(training, test, mean_motion(data)))

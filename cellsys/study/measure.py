@@ -1,0 +1,113 @@
+"""What the study measures on its models: errors against order, and their price."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from cellsys.drawable import Drawable
+from cellsys.errors import IntegrationError
+from cellsys.reduction import LatentModel, Snapshots, reduce_orders
+from cellsys.study.coordinates import Coordinates
+
+
+@dataclasses.dataclass(frozen=True)
+class OrderRow:
+    """One model of the sweep: held-out relative errors, floor, baselines, price."""
+
+    method: str
+    order: int
+    error: dict[str, float]
+    floor: dict[str, float]
+    baselines: dict[str, dict[str, float]]
+    abscissa: float
+    roll_out_ms: float
+    verdict: str
+
+
+@dataclasses.dataclass(frozen=True)
+class OrderSweep(Drawable):
+    """Held-out error and price against the order, for several methods."""
+
+    rows: tuple[OrderRow, ...]
+    full_order_s: float
+    horizon_s: float
+
+    _figure: ClassVar[str] = "order_sweep"
+
+    def __str__(self) -> str:
+        lines = [
+            f"{'model':>14s} {'m':>4s} {'error on cells':>14s} {'floor':>7s} {'abscissa 1/s':>13s} "
+            f"{'roll-out ms':>12s}"
+        ]
+        for r in self.rows:
+            lines.append(
+                f"{r.method:>14s} {r.order:4d} {r.error['cells']:14.3g} {r.floor['cells']:7.3g} "
+                f"{r.abscissa:13.2e} {r.roll_out_ms:12.2f}"
+            )
+        return "\n".join(lines)
+
+
+def sweep_orders(
+    data: Snapshots,
+    test: Snapshots,
+    coordinates: Coordinates,
+    methods: Sequence[Any],
+    orders: Sequence[int],
+    full_order_s: float,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[OrderSweep, dict[tuple[str, int], LatentModel]]:
+    """Fit every method at every order; errors are held out, times the minimum of 3 roll-outs."""
+    rows, models = [], {}
+    total = len(methods) * len(orders)
+    for model, (name, order) in zip(
+        reduce_orders(data, methods, orders, test, *coordinates),
+        [(method.name, order) for method in methods for order in orders],
+        strict=True,
+    ):
+        models[name, order] = model
+        held = model.card.held_out
+        rows.append(
+            OrderRow(
+                name,
+                order,
+                {b: v["model"] for b, v in held.items()},
+                {b: v["floor"] for b, v in held.items()},
+                {
+                    b: {k: v[k] for k in ("nothing moves", "mean velocity", "mean motion")}
+                    for b, v in held.items()
+                },
+                model.card.spectral_abscissa,
+                1e3 * _price(model, test),
+                model.card.verdict,
+            )
+        )
+        if progress is not None:
+            progress(len(rows) / total)
+    horizon = data.dt * (len(test.runs[0].x) - 1)
+    return OrderSweep(tuple(rows), full_order_s, horizon), models
+
+
+def _price(model: LatentModel, test: Snapshots) -> float:
+    """Seconds of one latent roll-out over the first held-out run, minimum of 3 after one.
+
+    NaN where the roll-out diverges.
+    """
+    run = test.runs[0]
+    z0 = model.encode(np.asarray(run.x[0]), run.eta_start)
+    commands = test.commands_of(run, model.input_names) if test.command_names else None
+    t = test.dt * np.arange(len(run.x))
+    try:
+        model.predict(z0, commands, t)
+    except IntegrationError:
+        return float("nan")
+    times = []
+    for _ in range(3):
+        began = time.perf_counter()
+        model.predict(z0, commands, t)
+        times.append(time.perf_counter() - began)
+    return min(times)

@@ -1,0 +1,204 @@
+"""Figures and the self-contained HTML report of a study."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellsys.figures import (
+    bode,
+    cell_from_above,
+    cell_from_side,
+    displacement_field,
+    error_against_time,
+    headings,
+    order_sweep,
+    pole_map,
+)
+from cellsys.mechanics.spreading import SpreadingSystem
+from cellsys.store import atomic_path, write_text
+
+_DPI = 110
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 1000px; margin: 2rem auto; padding: 0 1rem;
+       color: #222; }
+h1 { margin-bottom: .2rem; } h2 { margin-top: 2.2rem; border-bottom: 1px solid #ccc; }
+.trust { background: #fff6dd; border-left: 4px solid #d9a400; padding: .7rem 1rem; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+td, th { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid #eee; }
+td:first-child, th:first-child { text-align: left; }
+img { max-width: 100%; } pre { background: #f6f6f6; padding: .7rem; overflow-x: auto; }
+.note { color: #555; font-size: 90%; }
+"""
+
+
+def write_figures(result: Any, system: SpreadingSystem, folder: Path) -> dict[str, Path]:
+    """Draw every figure of the report; returns name -> file."""
+    from matplotlib.figure import Figure
+
+    drawn: dict[str, Path] = {}
+
+    def save(figure: Figure, name: str) -> None:
+        target = folder / f"{name}.png"
+        with atomic_path(target) as temporary:
+            figure.savefig(temporary, dpi=_DPI, format="png")
+        drawn[name] = target
+
+    run, mesh, disc = result.run, system.cells[0].body.membrane, system.matrix
+    x, u = run.block("cell1.position"), run.block("matrix.displacement")
+
+    figure = Figure(figsize=(10, 8), layout="constrained")
+    axes = figure.subplots(2, 2, height_ratios=[2.2, 1])
+    for column, k in enumerate((0, -1)):
+        cell_from_above(x[k], mesh.triangles, disc.position + u[k], disc.fibres, axes[0, column])
+        axes[0, column].set_title(f"t = {run.t[k]:g} s")
+        cell_from_side(x[k], mesh.triangles, axes[1, column])
+    save(figure, "cell_and_matrix")
+
+    figure = Figure(figsize=(7, 5.6), layout="constrained")
+    displacement_field(disc.position, u[-1], figure.subplots())
+    save(figure, "displacement_field")
+
+    small = result.model
+    pairs = [(small, result.certainty.spread)]
+    large = max((m for n, m in result.models if n == "PCR"), default=small.order)
+    pairs.append((result.models["PCR", large], None))
+    figure = Figure(figsize=(10, 4.4), layout="constrained")
+    for ax, (model, spread) in zip(figure.subplots(1, 2), pairs, strict=True):
+        pole_map(model.poles(), ax, spread=spread)
+        ax.set_title(f"PCR, m = {model.order}")
+    save(figure, "pole_map")
+
+    figure = Figure(figsize=(10, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    order_sweep(result.sweep, left)
+    error_against_time(result.sweep, right)
+    save(figure, "error_against_order")
+
+    if result.margins is not None:
+        figure = Figure(figsize=(7.5, 6), layout="constrained")
+        bode(result.margins, figure.subplots(2, 1, sharex=True))
+        figure.suptitle("Return ratio of the polarity loop, cut at kappa")
+        save(figure, "bode")
+        figure = Figure(figsize=(8, 4.2), layout="constrained")
+        headings(
+            {"full order": run, f"reduced, m = {small.order}": result.reduced}, figure.subplots()
+        )
+        save(figure, "polarity")
+    return drawn
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    cells = "".join(f"<th>{html.escape(h)}</th>" for h in head)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(str(c))}</td>" for c in row) + "</tr>" for row in rows
+    )
+    return f"<table><tr>{cells}</tr>{body}</table>"
+
+
+def _image(path: Path, alt: str) -> str:
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    return f'<img alt="{html.escape(alt)}" src="data:image/png;base64,{data}">'
+
+
+def _g(value: float, digits: int = 3) -> str:
+    if value is None or np.isnan(value):
+        return "-"
+    return "inf" if np.isinf(value) else f"{value:.{digits}g}"
+
+
+def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
+    """One HTML file with every figure inside, the card and the verdict."""
+    summary, card = result.summary, result.model.card
+    verdict = html.escape(card.verdict)
+    parts = [
+        "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
+        f"<title>{html.escape(result.scene.name)}</title><style>{_STYLE}</style></head><body>",
+        f"<h1>{html.escape(result.scene.name)}</h1>",
+        f"<p class='trust'><b>{html.escape(summary['trust'])}</b></p>",
+        "<h2>The cell on its matrix</h2>",
+        _image(figures["cell_and_matrix"], "cell and matrix, before and after"),
+        _table(
+            ("read-out", "value"),
+            [(k.replace("_", " "), _g(v)) for k, v in result.magnitudes.items()],
+        ),
+        _image(figures["displacement_field"], "displacement field of the matrix"),
+        "<p class='note'>Share of the rates that the stepping leaves over: "
+        + ", ".join(
+            f"{html.escape(k)} {100 * v:.2g} %" for k, v in summary["step_residual_share"].items()
+        )
+        + ".</p>",
+        f"<h2>Poles of the reduced model</h2><p>{verdict}</p>",
+        _image(figures["pole_map"], "pole maps"),
+        "<p class='note'>Circles: how far each pole moves when one training run is left out. "
+        f"Stability at working precision: {html.escape(summary['stability']['verdict'])}"
+        f" ({html.escape(summary['stability']['reason'])}).</p>",
+        _table(
+            ("pole (1/s)", "certainty (1/s)", "time constant (s)"),
+            [
+                (
+                    f"{p['real']:.3g} {p['imag']:+.3g}j",
+                    _g(p["spread"], 2),
+                    _g(-1.0 / p["real"]) if p["real"] < 0 else "grows",
+                )
+                for p in sorted(summary["poles"], key=lambda p: -p["real"])
+            ],
+        ),
+        "<h2>The polarity loop</h2>",
+        *_loop_part(result, figures, verdict),
+        "<h2>What accuracy costs in time</h2>",
+        _image(figures["error_against_order"], "error against order and against time"),
+        _table(
+            ("model", "m", "error on cells", "error on matrix", "floor", "roll-out (ms)"),
+            [
+                (
+                    r.method,
+                    str(r.order),
+                    _g(r.error["cells"]) if r.error["cells"] < 1e6 else "diverges",
+                    _g(r.error["matrix"]) if r.error["matrix"] < 1e6 else "diverges",
+                    _g(r.floor["cells"]),
+                    _g(r.roll_out_ms),
+                )
+                for r in result.sweep.rows
+            ],
+        ),
+        f"<p class='note'>Errors on held-out runs, whole roll-out, relative to the motion; nothing "
+        f"moves = 1. The full-order model took {result.sweep.full_order_s:.3g} s for the same "
+        f"{result.sweep.horizon_s:g} s.</p>",
+        f"<h2>The card of the plant</h2><pre>{html.escape(str(card))}</pre>",
+        "</body></html>",
+    ]
+    write_text(path, "\n".join(parts))
+
+
+def _loop_part(result: Any, figures: dict[str, Path], verdict: str) -> list[str]:
+    loop = result.summary["loop"]
+    if result.margins is None:
+        return [f"<p>No loop: {html.escape(str(loop['why_not']))}.</p>"]
+    m = result.margins
+    sensor = loop["sensor_error_deg"]
+    stable = "stable" if m.closed_loop_stable else "not stable: read the margins as distances"
+    error = loop["heading_error_deg"]
+    return [
+        _image(figures["bode"], "Bode plot of the return ratio"),
+        _table(
+            ("margin", "value", "at (rad/s)"),
+            [
+                ("gain margin: factor on kappa", _g(m.gain_margin), _g(m.gain_margin_frequency)),
+                ("phase margin (deg)", _g(m.phase_margin), _g(m.phase_margin_frequency)),
+                ("delay margin of the loop (s)", _g(m.delay_margin), _g(m.delay_margin_frequency)),
+            ],
+        ),
+        f"<p class='note'>Closed loop {stable}. {html.escape(loop['linearisation'])}. "
+        f"{verdict}</p>",
+        _image(figures["polarity"], "polarity against time"),
+        f"<p class='note'>Heading error of the reduced loop: {error['rms']:.3g} deg rms, "
+        f"{error['end']:.3g} deg at the end. Sensor: {_g(sensor['held_out'])} deg held out, "
+        f"{_g(sensor['constant_direction'])} deg for the best constant direction.</p>",
+    ]

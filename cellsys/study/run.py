@@ -1,0 +1,339 @@
+"""`study`: runs, snapshots, models, loop, figures and report of one scene."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import CellsysError, ParameterError, SceneError
+from cellsys.integrate import CVODES
+from cellsys.loop import ClosedLoop, Linearisation, PolarityLaw, closed_loop
+from cellsys.observe import summary_of_run
+from cellsys.reduction import (
+    PCR,
+    LatentModel,
+    LeastSquares,
+    PoleCertainty,
+    Snapshots,
+    pole_certainty,
+    snapshots,
+)
+from cellsys.response import Margins, margins, stability
+from cellsys.scene import Scene, build, load_scene, run_ensemble, training_scenes
+from cellsys.store import write_json
+from cellsys.study.coordinates import learn_coordinates
+from cellsys.study.measure import OrderSweep, sweep_orders
+from cellsys.trajectory import Trajectory
+
+ORDERS = (5, 10, 20, 50, 100)
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class StudyResult:
+    """What `study` computed; everything the report shows.
+
+    Attributes
+    ----------
+    run : Trajectory
+        The scene itself, full-order.
+    models : mapping of (method, order) to LatentModel
+    model : LatentModel
+        The plant of the loop: PCR at the order of the Bode plot.
+    sweep : OrderSweep
+    certainty : PoleCertainty
+    loop, reduced, linear, margins
+        Closed loop, its simulation, linearisation and margins on kappa; None without polarity.
+    summary : mapping
+        What ``summary.json`` holds.
+    out : Path
+    """
+
+    scene: Scene
+    run: Trajectory
+    models: Mapping[tuple[str, int], LatentModel]
+    model: LatentModel
+    sweep: OrderSweep
+    certainty: PoleCertainty
+    loop: ClosedLoop | None
+    reduced: Trajectory | None
+    linear: Linearisation | None
+    margins: Margins | None
+    magnitudes: Mapping[str, float]
+    summary: Mapping[str, Any]
+    out: Path
+
+    def __str__(self) -> str:
+        return str(self.summary["trust"])
+
+    def report(self) -> str:
+        """The study in words and tables, for a terminal."""
+        lines = [str(self.run), ""]
+        lines += [f"  {k.replace('_', ' '):34s} {v:.3g}" for k, v in self.magnitudes.items()]
+        lines += ["", f"poles of the reduced model (PCR, m = {self.model.order}), 1/s:"]
+        for k in np.argsort(-self.certainty.poles.real):
+            pole, spread = self.certainty.poles[k], self.certainty.spread[k]
+            lines.append(f"  {pole.real: .3e} {pole.imag:+.3e}j   +- {spread:.1e}")
+        stable = self.summary["stability"]
+        lines += [f"  {stable['verdict']}: {stable['reason']}", ""]
+        if self.margins is None:
+            lines.append(f"no polarity loop: {self.summary['loop']['why_not']}")
+        else:
+            lines += [
+                "polarity loop, cut at kappa:",
+                *(f"  {m}" for m in str(self.margins).split("\n")),
+            ]
+        lines += ["", str(self.sweep)]
+        lines.append(f"  full-order model: {self.sweep.full_order_s:.3g} s for the same run")
+        return "\n".join([*lines, "", str(self)])
+
+
+def study(
+    scene: Scene | str | Path,
+    out: str | Path,
+    *,
+    order: int = 10,
+    workers: int = 2,
+    resume: bool = True,
+    progress: Progress | None = None,
+) -> StudyResult:
+    """From a scene to poles, margins, a closed-loop run and a report.
+
+    Writes into `out`: ``run.npz``, ``model.npz`` (PCR), ``summary.json``, ``figures/*.png``,
+    ``report.html`` and the run cache ``runs/``.
+
+    Parameters
+    ----------
+    scene : Scene or path
+        With exactly one cell on a matrix.
+    out : path
+        Output folder; made when missing. Runs already there are reused.
+    order : int
+        Order of the plant of the loop.
+    workers : int
+        Processes for the full-order runs; the numbers do not depend on it.
+    resume : bool
+        Continue interrupted runs (the result is bitwise the same); False starts them again.
+    progress : callable, optional
+        Called with a stage's name and its share done.
+    """
+    began = time.perf_counter()
+    if not isinstance(scene, Scene):
+        scene = load_scene(scene)
+    _check(scene, order)
+    folder = Path(out)
+    cache = folder / "runs"
+    if not resume and cache.exists():
+        for partial in cache.glob("*.partial"):
+            shutil.rmtree(partial)
+    say = progress or (lambda stage, share: None)
+
+    train, held = training_scenes(scene)
+    runs = run_ensemble(
+        [scene, *train, *held],
+        cache,
+        workers=workers,
+        progress=lambda done, total: say("full-order runs", done / total),
+    )
+    main, runs = runs[0], runs[1:]
+    data, test = snapshots(runs[: len(train)]), snapshots(runs[len(train) :])
+    orders = [m for m in ORDERS if m < data.n_samples]
+    if order not in orders:
+        orders = sorted({*orders, order})
+    say("basis", 0.0)
+    learned = learn_coordinates(data, test, max(orders), cache / "coordinates.npz")
+    say("basis", 1.0)
+    full_s = float(np.mean([r.statistics["wall_time"] for r in runs[len(train) :]]))
+    sweep, models = sweep_orders(
+        data,
+        test,
+        learned,
+        (PCR(), LeastSquares()),
+        orders,
+        full_s,
+        lambda share: say("reduced models", share),
+    )
+    model = models["PCR", order]
+    certainty = pole_certainty(data, PCR(), order, learned.basis, learned.parts)
+    say("loop", 0.0)
+    loop, reduced, linear, loop_margins, why = _loop(scene, model, main)
+    say("loop", 1.0)
+
+    system = build(scene)
+    magnitudes = summary_of_run(main, system.matrix.position)
+    plant_report = stability(plant_of(model))
+    trust = f"What this model can be trusted for: {model.card.verdict}"
+    summary = {
+        "scene": scene.name,
+        "fingerprint": scene.fingerprint(),
+        "magnitudes": magnitudes,
+        "step_residual_share": main.residual_share(),
+        "card": model.card.table(),
+        "poles": [
+            {"real": float(p.real), "imag": float(p.imag), "spread": float(s)}
+            for p, s in zip(certainty.poles, certainty.spread, strict=True)
+        ],
+        "stability": {"verdict": plant_report.verdict, "reason": plant_report.reason},
+        "margins": None if loop_margins is None else _margin_table(loop_margins),
+        "loop": _loop_table(model, main, reduced, linear, why),
+        "orders": [dataclasses.asdict(row) for row in sweep.rows],
+        "full_order_s": full_s,
+        "trust": trust,
+    }
+    result = StudyResult(
+        scene,
+        main,
+        models,
+        model,
+        sweep,
+        certainty,
+        loop,
+        reduced,
+        linear,
+        loop_margins,
+        magnitudes,
+        summary,
+        folder,
+    )
+    _write(result, system, data, say)
+    say("report", 1.0)
+    summary["wall_time_s"] = time.perf_counter() - began
+    write_json(folder / "summary.json", plain(summary))
+    return result
+
+
+def _check(scene: Scene, order: int) -> None:
+    if isinstance(order, bool) or int(order) != order or order < 1:
+        raise ParameterError(f"order must be a whole number >= 1, got {order!r}")
+    if len(scene.cells) != 1 or scene.matrix is None:
+        raise SceneError(
+            f"a study needs exactly one cell on a matrix, this scene has {len(scene.cells)} cells; "
+            "use run_scene and snapshots for other scenes"
+        )
+    if "lamellipodium" not in scene.effects:
+        raise SceneError(
+            "a study steers the cell by its lamellipodium; add effects.lamellipodium = {}"
+        )
+
+
+def plant_of(model: LatentModel) -> Any:
+    """The model's plant, continuous where it has a continuous form, else with its own step."""
+    try:
+        return model.plant()
+    except ParameterError:
+        return model.plant(discrete=True)
+
+
+def _loop(
+    scene: Scene, model: LatentModel, main: Trajectory
+) -> tuple[ClosedLoop | None, Trajectory | None, Linearisation | None, Margins | None, str | None]:
+    """The loop's parts, or Nones and the reason why there is no loop."""
+    if "polarity" not in scene.effects:
+        return None, None, None, None, "the scene has no polarity effect"
+    try:
+        loop = closed_loop(
+            model,
+            controller=PolarityLaw(kappa=scene.effects["polarity"].kappa),
+            z0=model.encode(np.asarray(main.x[0])[: model.n_states], _start_eta(model, main)),
+            p0=np.asarray(main.p[0, 0]),
+        )
+        reduced = loop.simulate(np.asarray(main.t), CVODES(rtol=1e-8, atol=1e-8))
+        # Slower than the training runs are long: not to be told from integrators.
+        linear = loop.linearize(reduced, slower_than=1.0 / scene.training.duration)
+        return loop, reduced, linear, margins(loop.open_loop(linear)), None
+    except CellsysError as error:
+        return None, None, None, None, str(error)
+
+
+def _start_eta(model: LatentModel, run: Trajectory) -> np.ndarray:
+    """The run's instantaneous laws, in the order of the model's auxiliaries."""
+    parts = []
+    for block in model.auxiliaries:
+        piece = np.asarray(run.eta_start)[run.auxiliaries.slice(block.name)]
+        parts.append(piece[: block.size])
+    return np.concatenate(parts)
+
+
+def _margin_table(m: Margins) -> dict[str, Any]:
+    return {
+        "gain_margin_on_kappa": m.gain_margin,
+        "phase_margin_deg": m.phase_margin,
+        "delay_margin_s": m.delay_margin,
+        "closed_loop_stable": m.closed_loop_stable,
+    }
+
+
+def heading_deg(p: np.ndarray) -> np.ndarray:
+    """Unwrapped heading angle (T,), deg, of polarities (T, 3)."""
+    return np.degrees(np.unwrap(np.arctan2(p[:, 1], p[:, 0])))
+
+
+def _loop_table(
+    model: LatentModel,
+    main: Trajectory,
+    reduced: Trajectory | None,
+    linear: Linearisation | None,
+    why: str | None,
+) -> dict[str, Any]:
+    sensor = model.sensor
+    table: dict[str, Any] = {"why_not": why}
+    if sensor is not None:
+        table["sensor_error_deg"] = {
+            "training": sensor.training_error,
+            "held_out": sensor.held_out_error,
+            "constant_direction": sensor.constant_error,
+        }
+    if reduced is not None and linear is not None:
+        gap = heading_deg(reduced.p[:, 0]) - heading_deg(np.asarray(main.p)[:, 0])
+        gap = (gap + 180.0) % 360.0 - 180.0
+        table["heading_error_deg"] = {
+            "rms": float(np.sqrt(np.mean(gap**2))),
+            "end": float(gap[-1]),
+        }
+        table["linearisation"] = str(linear)
+    return table
+
+
+def _write(result: StudyResult, system: Any, data: Snapshots, say: Progress) -> None:
+    from cellsys.store import save_archive
+    from cellsys.study.report import write_figures, write_report
+
+    run, out = result.run, result.out
+    result.model.save(out / "model.npz")
+    arrays = {"t": run.t, "x": np.asarray(run.x)}
+    arrays |= {k: np.asarray(getattr(run, k)) for k in ("p", "d") if getattr(run, k) is not None}
+    save_archive(
+        out / "run.npz",
+        "run",
+        1,
+        arrays,
+        {
+            "label": run.label,
+            "states": [[b.name, list(b.shape), b.unit, b.role, b.kind] for b in run.states],
+            "statistics": dict(run.statistics),
+        },
+    )
+    say("report", 0.2)
+    figures = write_figures(result, system, out / "figures")
+    say("report", 0.8)
+    write_report(result, figures, out / "report.html")
+
+
+def plain(value: Any) -> Any:
+    """Plain values; inf and NaN as strings, which JSON has no numbers for."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return str(value)
+    return value
