@@ -45,7 +45,11 @@ def test_a_view_writes_through_and_keeps_leading_axes(found):
 
 def test_where_selects_by_role_and_kind():
     layout = Layout(
-        [Block("a", (2,), role="component"), Block("m", (3,), role="field"), Block("p", kind="internal")]
+        [
+            Block("a", (2,), role="component"),
+            Block("m", (3,), role="field"),
+            Block("p", kind="internal"),
+        ]
     )
     assert layout.where(role="field").tolist() == [2, 3, 4]
     assert layout.where(kind="internal").tolist() == [5]
@@ -73,7 +77,7 @@ def oscillator(**changes):
         "x0": [1.0, 0.0],
         "W_x": [[0.0, 1.0], [0.0, 0.0]],
         "W_eta": [[0.0], [1.0]],
-        "law": lambda t, x: [-x[0] ** 3],
+        "law": lambda t, x: [-(x[0] ** 3)],
     }
     return OdeSystem(**{**given, **changes})
 
@@ -118,7 +122,9 @@ def test_symbolic_form_agrees_with_the_numbers():
     form = system.casadi()
     f = ca.Function("f", [form.t, form.x], [form.xdot, form.eta])
     xdot, eta = f(0.0, [0.3, -0.8])
-    assert np.asarray(xdot).ravel() == pytest.approx(system.rhs(0.0, np.array([0.3, -0.8])), rel=1e-15)
+    assert np.asarray(xdot).ravel() == pytest.approx(
+        system.rhs(0.0, np.array([0.3, -0.8])), rel=1e-15
+    )
     assert np.asarray(eta).ravel() == pytest.approx([-(0.3**3)], rel=1e-15)
 
 
@@ -136,7 +142,11 @@ def test_trajectory_checks_shapes_and_times():
         Trajectory(np.array([0.0, 0.0]), np.zeros((2, 1)), states)
     with pytest.raises(DimensionError, match="eta must have shape"):
         Trajectory(
-            np.arange(3.0), np.zeros((3, 1)), states, eta=np.zeros((3, 1)), auxiliaries=Layout(["e"])
+            np.arange(3.0),
+            np.zeros((3, 1)),
+            states,
+            eta=np.zeros((3, 1)),
+            auxiliaries=Layout(["e"]),
         )
     run = Trajectory(np.arange(3.0), np.zeros((3, 1)), states)
     assert len(run) == 3

@@ -14,6 +14,8 @@ from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.effects.protocol import Effect
 from cellsys.store.hashing import fingerprint
 
+_MOST_SAMPLES = 1e7  # their times alone are 80 MB, their states of any scene beyond every memory
+
 
 @dataclass(frozen=True)
 class Inclusion:
@@ -112,6 +114,11 @@ class Scene:
         if self.sample > self.duration:
             raise SceneError(
                 f"sample = {self.sample:g} s is longer than duration = {self.duration:g} s"
+            )
+        if self.duration / self.sample > _MOST_SAMPLES:
+            raise SceneError(
+                f"duration / sample = {self.duration / self.sample:.3g} samples, more than "
+                f"{_MOST_SAMPLES:.0e}; sample less often or shorten the run"
             )
         if not self.cells and self.matrix is None:
             raise SceneError("a scene needs [[cells]] or a [matrix]")

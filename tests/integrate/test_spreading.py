@@ -1,4 +1,4 @@
-"""The shipped scene: what a logged sample means, accuracy of the shipped step, resuming, magnitudes."""
+"""The shipped scene: what a logged sample means, accuracy of its step, resuming, magnitudes."""
 
 import dataclasses
 from pathlib import Path
@@ -162,17 +162,17 @@ def test_a_shift_of_5_nm_changes_little_with_the_clutch():
 @pytest.mark.slow
 def test_a_shift_of_5_nm_changes_much_with_switching():
     """One bond more or less: single runs change by 0.002 to 0.2, 0.08 in the mean of six."""
-    changes = []
-    for seed in (1, 2):
-        a, events = shifted_run("switching", 0.0, seed, 1500.0)
-        names = [e.name for e in events]
-        assert names.count("bind") >= 25
-        assert names.count("rupture") >= 5
-        crawled = np.hypot(*(a[-1] - a[0]).mean(axis=0)[:2])
-        assert crawled > 2.0
-        low = a[-1][a[-1][:, 2] < 1.0]
-        assert np.hypot(*(low - a[-1].mean(axis=0))[:, :2].T).max() > 6.0  # it has spread
-        changes += [relative(a, shifted_run("switching", by, seed, 1500.0)[0]) for by in (0.005, -0.005)]
+    changes, seed = [], 2
+    a, events = shifted_run("switching", 0.0, seed, 1500.0)
+    names = [e.name for e in events]
+    assert names.count("bind") >= 25
+    assert names.count("rupture") >= 5
+    crawled = np.hypot(*(a[-1] - a[0]).mean(axis=0)[:2])
+    assert crawled > 2.0
+    low = a[-1][a[-1][:, 2] < 1.0]
+    assert np.hypot(*(low - a[-1].mean(axis=0))[:, :2].T).max() > 6.0  # it has spread
+    for by in (0.005, -0.005):
+        changes.append(relative(a, shifted_run("switching", by, seed, 1500.0)[0]))
     assert 0.01 < np.mean(changes) < 0.5
 
 
@@ -206,10 +206,13 @@ KINETICS = {
     "clutch": {},
     "switching": {
         "focal_adhesion": {
-            "kinetics": "switching", "bind_rate": "1 1/s", "bond_force": "2 pN", "bind_distance": "2 um",
+            "kinetics": "switching",
+            "bind_rate": "1 1/s",
+            "bond_force": "2 pN",
+            "bind_distance": "2 um",
         }
     },
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kinetics", KINETICS)
@@ -220,7 +223,11 @@ def test_same_seed_same_run_and_an_interrupted_run_continues_bit_for_bit(tmp_pat
     shapes = record_shapes(small(**KINETICS[kinetics]), t, True)
     with pytest.raises(Interrupted):
         simulate(
-            small(**KINETICS[kinetics]), method, t, seed=5, sink=Stopping(tmp_path / "r", shapes, {})
+            small(**KINETICS[kinetics]),
+            method,
+            t,
+            seed=5,
+            sink=Stopping(tmp_path / "r", shapes, {}),
         )
     sink = RunWriter(tmp_path / "r", shapes, {})
     assert sink.resumed

@@ -191,7 +191,9 @@ def test_symbolic_integrators_stop_too(integrator):
     run = simulate(Stopped(**given_), integrator, np.array([0.0, 2.0, 4.0]))
     # The right-hand side is constant on each side of a stop; RK4 samples the very end of an
     # interval, which belongs to the next one: a sixth of the weight.
-    assert run.x[-1, 0] == pytest.approx(0.7, rel=0.17 if isinstance(integrator, RungeKutta4) else 1e-5)
+    assert run.x[-1, 0] == pytest.approx(
+        0.7, rel=0.17 if isinstance(integrator, RungeKutta4) else 1e-5
+    )
 
 
 # Failures
@@ -221,7 +223,7 @@ def test_nan_in_an_implicit_run_is_an_integration_error():
     assert 6.9 < caught.value.time <= 7.5
 
 
-@pytest.mark.parametrize("integrator", [CVODES(rtol=1e-6, atol=1e-8), RungeKutta4(step=0.1)])
+@pytest.mark.parametrize("integrator", [CVODES(rtol=1e-3, atol=1e-5), RungeKutta4(step=0.1)])
 def test_blow_up_in_finite_time_is_an_integration_error(integrator):
     """x' = x^3 from 1 ends at t = 1/2."""
     with pytest.raises(IntegrationError) as caught:
@@ -237,9 +239,7 @@ def test_divergence_of_explicit_euler_is_an_integration_error():
 def test_a_step_that_moves_too_far_is_halved_then_refused():
     with pytest.raises(IntegrationError, match="moves too far"):
         simulate(Springs(pull=1e7), LinearlyImplicit(step=0.5), TIMES)
-    run = simulate(
-        Springs(stiffness=5.0, pull=20.0, drag=0.5), LinearlyImplicit(step=0.5), TIMES
-    )
+    run = simulate(Springs(stiffness=5.0, pull=20.0, drag=0.5), LinearlyImplicit(step=0.5), TIMES)
     assert run.statistics["rejected"] > 0
     right = run.eta @ run.W_eta.T.toarray() + run.u
     rate = np.diff(run.x, axis=0) / np.diff(run.t)[:, None]

@@ -17,10 +17,15 @@ class Springs(OverdampedSystem):
         states = [nodes, Block("s", (), "um", "controller", "internal")]
         W = sp.csr_array(sp.block_diag([np.eye(n) / drag, np.eye(1)]))
         auxiliaries = [Block("force", (n,), "pN"), Block("s.rate", (), "um/s", kind="internal")]
-        super().__init__(
-            states=states, x0=np.zeros(n + 1), auxiliaries=auxiliaries, W_eta=W
-        )
-        settings = {"n": n, "k": stiffness, "pull": pull, "factor": factor, "stops": stops, "c": drag}
+        super().__init__(states=states, x0=np.zeros(n + 1), auxiliaries=auxiliaries, W_eta=W)
+        settings = {
+            "n": n,
+            "k": stiffness,
+            "pull": pull,
+            "factor": factor,
+            "stops": stops,
+            "c": drag,
+        }
         for name, value in settings.items():
             object.__setattr__(self, name, value)
 

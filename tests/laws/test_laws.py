@@ -142,7 +142,9 @@ def test_fibre_force_is_the_slope_of_its_energy(name, e):
     # Central differences: h^2/6 of the third derivative (<= 1/blend^2 near 0) plus rounding eps/h.
     third = 0.35 / max(abs(e), law[1]) ** 2 if name != "linear" else 0.0
     by_difference = (axial_energy(e + h, *law) - axial_energy(e - h, *law)) / (2 * h)
-    assert by_difference == pytest.approx(g, abs=h * h * (third + 20) + 1e-15 / h * (1 + e * e * 10))
+    assert by_difference == pytest.approx(
+        g, abs=h * h * (third + 20) + 1e-15 / h * (1 + e * e * 10)
+    )
     g_up, g_down = axial(e + h, *law)[0], axial(e - h, *law)[0]
     kink = 10 * h / 0.05 if name == "stiffening" else 0.0  # the slope's own slope jumps at onset
     fourth = 0.35 / max(abs(e), law[1]) ** 3 if name != "linear" else 0.0
@@ -253,7 +255,9 @@ def test_protrusion_pushes_the_leading_sector_only():
     assert np.all(size[np.cos(theta) < 0.1 - 1e-9] == 0.0)
     assert size[np.cos(theta) > 0.5 + 1e-9] == pytest.approx(600.0, rel=1e-6)
     assert force[:, 2] == pytest.approx(-0.3 * size, abs=1e-4)
-    assert np.all(protrusion(x + [0, 0, 2.5], np.array([1.0, 0, 0]), 600.0, 2.5, 0.1, 0.5, 0.3) == 0)
+    assert np.all(
+        protrusion(x + [0, 0, 2.5], np.array([1.0, 0, 0]), 600.0, 2.5, 0.1, 0.5, 0.3) == 0
+    )
     assert np.all(protrusion(x, np.array([0, 0, 1.0]), 600.0, 2.5, 0.1, 0.5, 0.3) == 0)
 
 

@@ -55,11 +55,13 @@ def clutch():
 @lru_cache(maxsize=4)
 def switching():
     """The small system with Bell clusters that bind at once."""
-    return small(focal_adhesion={"kinetics": "switching", "bind_rate": "5 1/s", "bind_distance": "2.5 um"})
+    return small(
+        focal_adhesion={"kinetics": "switching", "bind_rate": "5 1/s", "bind_distance": "2.5 um"}
+    )
 
 
 def disturbed(system, seed, size=0.15):
-    """A random state near the start: nodes moved, bonds closed and loaded, the cell pressed down."""
+    """A random state near the start: nodes moved, bonds closed and loaded, cell pressed down."""
     rng = np.random.default_rng(seed)
     x = system.x0.copy()
     cell = system.states.view(x, "cell1.position")

@@ -1,4 +1,4 @@
-"""Forces of every effect: gradient of the energy, vanishing sums, balanced pairs, no cost when absent."""
+"""Forces of every effect: gradient of the energy, vanishing sums, pairs, none if absent."""
 
 import numpy as np
 import pytest
@@ -39,9 +39,10 @@ def check_gradient(system, item, x, rng, axes=(0, 1, 2), rtol=2e-6):
                 values.append(item.energy(system.configuration(0.0, moved)))
             by_difference = (values[0] - values[1]) / (2 * h)
             scale = np.linalg.norm(f[:, axes]) * np.sqrt(len(axes)) + 1e-3
-            assert abs(by_difference + float((f * direction).sum())) < rtol * scale + 3e-16 * abs(
-                values[0]
-            ) / h
+            assert (
+                abs(by_difference + float((f * direction).sum()))
+                < rtol * scale + 3e-16 * abs(values[0]) / h
+            )
 
 
 @pytest.mark.parametrize("name", WITH_ENERGY)
@@ -107,7 +108,7 @@ def test_internal_forces_and_torques_sum_to_zero(name, seed):
     system = clutch()
     x = disturbed(system, seed)
     item = element(system, name)
-    (array, f), = force(system, item, x).items()
+    ((array, f),) = force(system, item, x).items()
     position = system.states.view(x, STATES[array]).copy()
     if array == "matrix":
         position += system.matrix.position
@@ -119,7 +120,7 @@ def test_internal_forces_and_torques_sum_to_zero(name, seed):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_clusters_pull_equally_and_oppositely(seed):
-    """Force and torque of every pair vanish [thesis eq. 61]; free nodes feel exactly nothing [62]."""
+    """Force and torque of a pair vanish [thesis eq. 61]; free nodes feel exactly nothing [62]."""
     system = switching()
     x = disturbed(system, seed)
     item = element(system, "cell1.focal_adhesion")
@@ -149,7 +150,7 @@ def test_clutch_gives_the_matrix_what_it_takes_from_the_cell(seed):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_clutch_is_power_conjugate(seed):
-    """Power on the cell + power on the matrix = -force . slip, with the slip through the same weights."""
+    """Power on cell and matrix = -force . slip, with the slip through the same weights."""
     system, rng = clutch(), np.random.default_rng(seed)
     x = disturbed(system, seed)
     item = element(system, "cell1.focal_adhesion")

@@ -25,7 +25,9 @@ def test_a_sphere_is_closed_and_oriented(n):
     directed = np.concatenate([mesh.triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
     assert len(np.unique(directed, axis=0)) == 6 * n - 12
     assert {tuple(e) for e in directed} == {tuple(e[::-1]) for e in directed}
-    assert np.hypot.reduce(mesh.position - [1.0, 2.0, 8.05], axis=1) == pytest.approx(8.0, rel=1e-12)
+    assert np.hypot.reduce(mesh.position - [1.0, 2.0, 8.05], axis=1) == pytest.approx(
+        8.0, rel=1e-12
+    )
     ball = 4.0 / 3.0 * np.pi * 512.0
     # An inscribed polyhedron of n nodes misses about 5.5/n of the volume.
     assert 0.0 < 1.0 - mesh.volume / ball < 10.0 / n
@@ -58,9 +60,7 @@ def test_the_shipped_disc_is_the_thesis_s():
 def test_relaxed_modulus_is_the_one_asked_for(modulus):
     built = disc(15.0, modulus, n_nodes=400, seed=2)
     volume = np.pi * 15.0**2 * 2.0
-    G = relaxed_shear_modulus(
-        built.position, built.fibres, built.stiffness, built.clamped, volume
-    )
+    G = relaxed_shear_modulus(built.position, built.fibres, built.stiffness, built.clamped, volume)
     # Calibrated and measured by the same linear solve, which is linear in the stiffness.
     assert 2.5 * G == pytest.approx(modulus, rel=1e-8)
 
@@ -105,7 +105,13 @@ def test_fibres_join_near_neighbours():
 
 @pytest.mark.parametrize(
     ("radius", "modulus", "n"),
-    [(0.0, 5e3, 200), (30.0, -1.0, 200), (30.0, float("nan"), 200), (30.0, 5e3, 10), (float("inf"), 5e3, 200)],
+    [
+        (0.0, 5e3, 200),
+        (30.0, -1.0, 200),
+        (30.0, float("nan"), 200),
+        (30.0, 5e3, 10),
+        (float("inf"), 5e3, 200),
+    ],
 )
 def test_bad_discs_are_refused(radius, modulus, n):
     with pytest.raises(ParameterError):

@@ -19,7 +19,12 @@ def view(system, x, name):
 @pytest.fixture(scope="module")
 def run():
     """100 s with quick turnover, so that there are ruptures as well."""
-    fast = {"kinetics": "switching", "bind_rate": "1 1/s", "bond_force": "2 pN", "loss_rate": "0.05 1/s"}
+    fast = {
+        "kinetics": "switching",
+        "bind_rate": "1 1/s",
+        "bond_force": "2 pN",
+        "loss_rate": "0.05 1/s",
+    }
     system = small(focal_adhesion=fast)
     return system, simulate(system, LinearlyImplicit(step=0.5), np.arange(0.0, 101.0, 0.5), seed=3)
 
@@ -32,7 +37,7 @@ def test_a_new_cell_holds_nothing():
 
 
 def test_events_tell_the_same_story_as_the_states(run):
-    system, trajectory = run
+    _, trajectory = run
     names = [e.name for e in trajectory.events]
     assert set(names) == {"bind", "rupture"}
     held = trajectory.block(PARTNER)
@@ -56,7 +61,7 @@ def test_events_tell_the_same_story_as_the_states(run):
 
 
 def test_bonds_stay_in_their_bounds(run):
-    system, trajectory = run
+    _, trajectory = run
     number, length = trajectory.block(NUMBER), trajectory.block(LENGTH)
     held = trajectory.block(PARTNER) >= 0
     assert np.all(number[held] > 0)
@@ -99,7 +104,7 @@ def test_no_binding_out_of_reach_or_at_the_rim():
 
 
 def test_binding_probability():
-    """1 - exp(-k_new dt) of the nodes in reach: a binomial count within four standard deviations."""
+    """1 - exp(-k_new dt) of the nodes in reach: a binomial count within four sigma."""
     system = small(
         focal_adhesion={"kinetics": "switching", "bind_rate": "0.5 1/s", "bind_distance": "2.5 um"}
     )
@@ -159,7 +164,9 @@ def test_two_cells_never_share_a_matrix_node():
     from cellsys.scene import Scene, build
     from tests.mechanics.scenes import table
 
-    spec = table(focal_adhesion={"kinetics": "switching", "bind_rate": "5 1/s", "bind_distance": "3 um"})
+    spec = table(
+        focal_adhesion={"kinetics": "switching", "bind_rate": "5 1/s", "bind_distance": "3 um"}
+    )
     spec["cells"] = [
         {"position": ["-5 um", "0 um"], "radius": "5 um"},
         {"position": ["5.1 um", "0 um"], "radius": "5 um"},

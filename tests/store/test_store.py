@@ -131,9 +131,14 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     write_json(target, {"a": 1})
     with pytest.raises(ValueError, match="JSON"):
         write_json(target, {"a": float("nan")})
-    with pytest.raises(KeyError), atomic_path(target) as temporary:
-        temporary.write_text("half")
-        raise KeyError("stop")
+
+    def interrupted():
+        with atomic_path(target) as temporary:
+            temporary.write_text("half")
+            raise KeyError("stop")
+
+    with pytest.raises(KeyError):
+        interrupted()
     assert json.loads(target.read_text()) == {"a": 1}
     assert [p.name for p in tmp_path.iterdir()] == ["r.json"]
 

@@ -1,0 +1,58 @@
+"""Runs of scenes: cached, resumable, the same numbers in one process or two."""
+
+import numpy as np
+import pytest
+
+from cellsys.errors import FileFormatError
+from cellsys.scene import Scene, run_ensemble, run_scene
+from cellsys.scene import ensemble as room
+from cellsys.scene.ensemble import read_run
+from tests.mechanics.scenes import table
+
+
+def scene(angle=30.0):
+    spec = table()
+    spec["cells"][0]["polarity"] = f"{angle} deg"
+    return Scene.parse(spec)
+
+
+def test_a_cached_run_is_the_run(tmp_path, monkeypatch):
+    fresh = run_scene(scene())
+    stored = run_scene(scene(), tmp_path)
+    for name in ("x", "eta", "u", "p", "d"):
+        assert np.array_equal(getattr(stored, name), getattr(fresh, name)), name
+
+    def refuse(*args, **kwargs):
+        raise RuntimeError("a cached run was computed again")
+
+    monkeypatch.setattr(room, "simulate", refuse)
+    again = run_scene(scene(), tmp_path)
+    assert np.array_equal(again.x, fresh.x)
+    with pytest.raises(RuntimeError, match="computed again"):
+        run_scene(scene(31.0), tmp_path)
+
+
+def test_a_run_folder_is_read_without_its_scene_file(tmp_path):
+    stored = run_scene(scene(), tmp_path)
+    folder = next(p for p in tmp_path.iterdir() if p.is_dir())
+    back = read_run(folder)
+    assert np.array_equal(back.x, stored.x)
+    assert back.states == stored.states
+    with pytest.raises(FileFormatError):
+        read_run(tmp_path)
+
+
+def test_one_or_two_workers_give_the_same_numbers(tmp_path):
+    scenes = [scene(a) for a in (0.0, 90.0)]
+    one = run_ensemble([*scenes, scenes[0]], tmp_path / "one", workers=1)
+    seen = []
+    two = run_ensemble(
+        scenes, tmp_path / "two", workers=2, progress=lambda done, total: seen.append((done, total))
+    )
+    assert seen[0] == (0, 2)
+    assert seen[-1] == (2, 2)
+    for a, b in zip(one, two, strict=False):
+        assert np.array_equal(a.x, b.x)
+        assert np.array_equal(a.eta, b.eta)
+    assert np.array_equal(one[0].x, one[2].x)
+    assert len(list((tmp_path / "one").iterdir())) == 2
