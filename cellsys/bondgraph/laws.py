@@ -16,15 +16,16 @@ import numpy as np
 import scipy.linalg as sla
 import scipy.sparse as sp
 
-from cellsys.bondgraph.elements import TF, CField, Internal, NodalEffort, R
+from cellsys.bondgraph.elements import GY, TF, CField, Internal, NodalEffort, R
 from cellsys.bondgraph.graph import is_modulated
 from cellsys.bondgraph.outputs import Output, output_sign
 from cellsys.bondgraph.structure import Structure
-from cellsys.errors import CausalityError, IntegrationError, NotSymbolicError
+from cellsys.errors import CausalityError, DimensionError, IntegrationError, NotSymbolicError
 from cellsys.laws.arrays import is_symbolic
 from cellsys.system import Layout
 
 NEWTON_STEPS = 60
+_NONE = np.zeros(0)
 DENSE = 500  # matrices up to this many rows are kept dense: a product then costs a microsecond
 
 
@@ -53,9 +54,9 @@ def apply(matrix: Any, vector: Any) -> Any:
 
 def shaped(vector: Any, shape: tuple[int, ...]) -> Any:
     """A piece of a vector as a law sees it: a number, or an array of `shape` (numpy only)."""
-    if is_symbolic(vector):
-        return vector
-    return vector.reshape(shape) if shape else vector[0]
+    if isinstance(vector, np.ndarray):
+        return vector.reshape(shape) if shape else vector[0]
+    return vector
 
 
 class Laws:
@@ -72,7 +73,7 @@ class Laws:
             self.places[o.name] = slice(start, start + n)
             start += n
         self.size = start
-        self.storage: list[tuple[slice, Callable[[Any, Any, Mapping[str, Any]], Any]]] = []
+        self.storage: list[tuple[str, slice, Callable[[Any, Any, Mapping[str, Any]], Any]]] = []
         memoryless: list[_Memoryless] = []
         for o in kept:
             place = self.places[o.name]
@@ -82,9 +83,15 @@ class Laws:
             if isinstance(element, R) or is_modulated(element):
                 memoryless.append(self._memoryless(o, place))
             else:
-                self.storage.append((place, self._direct(o, element)))
-        self.order = _sorted(memoryless)
-        for group in self.order:
+                self.storage.append((o.name, place, self._direct(o, element)))
+        groups = _sorted(memoryless)
+        self.order = [(group, _is_loop(group)) for group in groups]
+        self.looks = any(  # whether a law asks for states by name
+            o.kind == "rate"
+            or isinstance(graph.ports[o.index].element, (CField, NodalEffort, TF, GY))
+            for o in kept
+        )
+        for group in groups:
             blocking = [m.name for m in group if not m.solvable]
             if len(group) > 1 and blocking:
                 raise CausalityError(
@@ -92,10 +99,12 @@ class Laws:
                     f"only if the laws increase; promise it by R(..., monotone=True) for "
                     f"{', '.join(blocking)}, or put a storage between"
                 )
-        self.loops = tuple(tuple(m.name for m in g) for g in self.order if _is_loop(g))
+        self.loops = tuple(tuple(m.name for m in g) for g, loop in self.order if loop)
 
     def sources(self, t: Any) -> Any:
         """Values of all sources at time t, (n_inputs,)."""
+        if not self.structure.inputs.size:
+            return _NONE
         graph = self.structure.graph
         parts: list[Any] = []
         for o in self.structure.outputs:
@@ -128,16 +137,16 @@ class Laws:
     def eta(self, t: Any, x: Any, s: Any) -> Any:
         """Auxiliaries at time t, state x and source values s."""
         symbolic = is_symbolic(t, x, s)
-        views = self.view(x)
+        views = self.view(x) if self.looks else {}
         eta: Any = np.zeros(self.size)
         if symbolic:
             import casadi as ca
 
             eta = ca.SX.zeros(self.size, 1) if not isinstance(x, ca.MX) else ca.MX.zeros(self.size)
-        for place, law in self.storage:
-            eta[place] = _flat(law(t, x, views), symbolic)
-        for group in self.order:
-            if _is_loop(group):
+        for name, place, law in self.storage:
+            _put(eta, name, place, law(t, x, views), symbolic)
+        for group, loop in self.order:
+            if loop:
                 if symbolic:
                     raise NotSymbolicError(
                         "this graph has an algebraic loop through "
@@ -147,8 +156,11 @@ class Laws:
                 self._solve(group, t, x, s, eta, views)
                 continue
             m = group[0]
-            v = apply(m.A_x, x) + apply(m.A_eta, eta) + apply(m.A_s, s)
-            eta[m.place] = _flat(m.apply(shaped(v, m.shape), views), symbolic)
+            if symbolic:
+                v = apply(m.A_x, x) + apply(m.A_eta, eta) + apply(m.A_s, s)
+            else:
+                v = m.A_x @ x + m.A_eta @ eta + m.A_s @ s
+            _put(eta, m.name, m.place, m.apply(shaped(v, m.shape), views), symbolic)
         return eta
 
     def _direct(self, o: Output, element: Any) -> Callable[[Any, Any, Mapping[str, Any]], Any]:
@@ -260,10 +272,18 @@ def _unowned(name: str) -> Callable[[Any, Any, Mapping[str, Any]], Any]:
     return missing
 
 
-def _flat(value: Any, symbolic: bool) -> Any:
-    if symbolic or is_symbolic(value):
-        return value
-    return np.ravel(value)
+def _put(eta: Any, name: str, place: slice, value: Any, symbolic: bool) -> None:
+    """Store a law's value; DimensionError names the law whose value does not fit."""
+    if symbolic:
+        eta[place] = value
+        return
+    try:
+        eta[place] = value.ravel() if isinstance(value, np.ndarray) else value
+    except ValueError:
+        raise DimensionError(
+            f"the law of {name!r} must return {place.stop - place.start} value(s), "
+            f"got shape {np.shape(value)}"
+        ) from None
 
 
 def _is_loop(group: list[_Memoryless]) -> bool:

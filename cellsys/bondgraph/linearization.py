@@ -42,7 +42,8 @@ def linearize(
     -------
     control.StateSpace
         With dt = 0 and the graph's names for states, inputs and outputs; python-control allows
-        no dot in a name, so ``rotor.f`` becomes ``rotor_f``.
+        no dot in a name, so ``rotor.f`` becomes ``rotor_f``. A graph of one state without sources
+        gets an input ``none`` of zeros, because python-control cannot hold a B of shape (1, 0).
 
     Raises
     ------
@@ -79,15 +80,19 @@ def linearize(
             D_rows.append(np.asarray(row @ Y_s))
         n = len(C_rows[-1])
         labels += [label] if n == 1 else [f"{label}[{i}]" for i in range(n)]
-    n_out = len(labels)
+    inputs = equations.inputs.names
+    if not inputs and x.size == 1:
+        # python-control turns a B of shape (1, 0) into (0, 0): give it a column of zeros.
+        B, inputs = np.zeros((1, 1)), ["none"]
+        D_rows = [np.zeros((len(D), 1)) for D in D_rows]
     return control.ss(
         A,
-        B if s.size else np.zeros((x.size, 0)),
+        B,
         np.vstack(C_rows) if C_rows else np.zeros((0, x.size)),
-        np.vstack(D_rows) if D_rows else np.zeros((n_out, s.size)),
+        np.vstack(D_rows) if D_rows else np.zeros((0, B.shape[1])),
         0,
         states=_signals(names),
-        inputs=_signals(equations.inputs.names) or None,
+        inputs=_signals(inputs) or None,
         outputs=_signals(labels) or None,
         name=_signals([equations.graph.name])[0] or None,
     )

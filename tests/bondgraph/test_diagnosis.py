@@ -82,6 +82,10 @@ def test_algebraic_loop_of_resistors():
     assert abs(power["dissipation"] + power["storage"]) < 1e-12
     with pytest.raises(NotSymbolicError, match="algebraic loop"):
         equations.system.casadi()
+    # It is still linearised, by differences of the solved loop.
+    rates = [equations.system.rhs(0.0, np.array([q]))[0] for q in (2.0 + 1e-5, 2.0 - 1e-5)]
+    slope = (rates[0] - rates[1]) / 2e-5
+    assert equations.linearize({"c.q": 2.0}).A[0, 0] == pytest.approx(slope, rel=1e-6)
 
 
 def test_resistor_forced_the_other_way_round():
@@ -183,3 +187,11 @@ def test_gyrator_ratio_has_units():
     assert motor("10 mV s").W_x.toarray()[0, 1] == pytest.approx(-0.01)
     with pytest.raises(UnitError, match="wrong dimension"):
         motor("10 N")
+
+
+def test_a_law_of_the_wrong_size_is_named():
+    graph = BondGraph(
+        [One("v", shape=(2, 3)), I("m", 1.0), C("k", law=lambda q: q[0])], ["v -> m", "v -> k"]
+    )
+    with pytest.raises(DimensionError, match=r"law of 'k\.e' must return 6 value"):
+        graph.equations().system.rhs(0.0, np.zeros(12))

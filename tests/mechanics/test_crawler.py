@@ -217,6 +217,25 @@ def test_reset_keeps_momentum_and_moves_only_the_attachment():
     )
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_guards_are_the_adhesion_stretches(name):
+    """Distance of the lead's stretch to `grab`, of `rupture` to the trail's; 1 where blocked."""
+    system = build_crawlers(CASES[name])
+    x = random_state(system, np.random.default_rng(9))
+    for k, cell in enumerate(system.cells):
+        lead, trail, _, _, ecm1, ecm2 = x[8 * k : 8 * k + 6]
+        guards = [e.guard(0.0, x) for e in system.events() if e.name.startswith(f"cell{k + 1} ")]
+        h = cell.heading
+        expected = [h * (ecm2 - lead) - cell.grab, cell.rupture - h * (trail - ecm1)]
+        np.testing.assert_allclose(guards, expected, atol=1e-15)
+    start = 8 * len(system.cells) + system.chain.nodes
+    blocked = x.copy()
+    blocked[start] = blocked[start + 1] + system.cells[0].heading  # trail right behind the lead
+    assert system.events()[1].guard(0.0, blocked) == 1.0
+    blocked[start] = 40 if system.cells[0].heading > 0 else 1
+    assert system.events()[0].guard(0.0, blocked) == 1.0
+
+
 def test_stiff_chain_drag_wants_an_implicit_method():
     """b_E = 0.005: LSODA takes a small share of DOP853's evaluations, and agrees to 1e-5."""
     system = build_crawlers([Crawler()], Chain(drag=0.005))
