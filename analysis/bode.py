@@ -39,14 +39,11 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
         print(f"{model.card.verdict}\n")
         drawn = result if drawn is None else drawn
     if out is not None:
-        from matplotlib.figure import Figure
+        from cellsys.figures import bode, save_png, sheet
 
-        from cellsys.figures import bode
-
-        Path(out).mkdir(parents=True, exist_ok=True)
-        figure = Figure(figsize=(7.5, 6), layout="constrained")
-        bode(drawn, figure.subplots(2, 1, sharex=True))
-        figure.savefig(Path(out) / "bode.png", dpi=110)
+        figure, axes = sheet((7.5, 6), 2, sharex=True)
+        bode(drawn, axes)
+        save_png(figure, Path(out) / "bode.png")
 
 
 if __name__ == "__main__":

@@ -49,18 +49,16 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
         curves[start] = (t, heading(p), heading(run.p))
     print(model.card.verdict)
     if out is not None:
-        from matplotlib.figure import Figure
+        from cellsys.figures import save_png, sheet
 
-        Path(out).mkdir(parents=True, exist_ok=True)
-        figure = Figure(figsize=(8, 4.2), layout="constrained")
-        ax = figure.subplots()
+        figure, ax = sheet((8, 4.2))
         for k, (start, (t, a, b)) in enumerate(curves.items()):
             ax.plot(t, a, "-", color=f"C{k}", label=f"{start:g} deg, full order")
             ax.plot(t, b, "--", color=f"C{k}", label=f"{start:g} deg, reduced")
         ax.set(xlabel="time (s)", ylabel="heading (deg)", ylim=(-185, 185))
         ax.legend(fontsize="small")
         ax.grid(alpha=0.3)
-        figure.savefig(Path(out) / "closed_loop_polarity.png", dpi=110)
+        save_png(figure, Path(out) / "closed_loop_polarity.png")
 
 
 if __name__ == "__main__":

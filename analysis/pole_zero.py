@@ -42,17 +42,14 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
     plant = small.plant(output=small.sensor.S_d[:2], output_names=["d_x", "d_y"])
     print(f"zeros from the commands to the sensed direction: {len(cs.zeros(plant))}")
     if out is not None:
-        from matplotlib.figure import Figure
+        from cellsys.figures import pole_map, save_png, sheet
 
-        from cellsys.figures import pole_map
-
-        Path(out).mkdir(parents=True, exist_ok=True)
-        figure = Figure(figsize=(10, 4.4), layout="constrained")
-        for ax, model in zip(figure.subplots(1, 2), models, strict=True):
+        figure, axes = sheet((10, 4.4), 1, 2)
+        for ax, model in zip(axes, models, strict=True):
             spread = certainty.spread if model is small else None
             pole_map(certainty.poles if model is small else model.poles(), ax, spread=spread)
             ax.set_title(f"PCR, m = {model.order}")
-        figure.savefig(Path(out) / "pole_zero.png", dpi=110)
+        save_png(figure, Path(out) / "pole_zero.png")
 
 
 if __name__ == "__main__":

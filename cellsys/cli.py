@@ -186,19 +186,16 @@ def bode(
     """Bode plot and margins of the polarity loop on a model (at the end of a 1500 s run)."""
     from cellsys.loop import closed_loop
     from cellsys.response import margins
-    from cellsys.store import atomic_path
 
     loaded = _load(model)
     result = margins(closed_loop(loaded).open_loop())
     if out is not None:
-        from matplotlib.figure import Figure
-
         from cellsys.figures import bode as draw
+        from cellsys.figures import save_png, sheet
 
-        figure = Figure(figsize=(7.5, 6), layout="constrained")
-        draw(result, figure.subplots(2, 1, sharex=True))
-        with atomic_path(out) as temporary:
-            figure.savefig(temporary, dpi=110, format="png")
+        figure, axes = sheet((7.5, 6), 2, sharex=True)
+        draw(result, axes)
+        save_png(figure, out)
     if as_json:
         _dump(
             {

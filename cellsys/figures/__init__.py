@@ -18,6 +18,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
             "pole_certainty",
             "pole_map",
         ],
+        "sheet": ["save_png", "sheet"],
         "spreading": ["cell_from_above", "cell_from_side", "displacement_field", "trajectory"],
         "response": [
             "bode",

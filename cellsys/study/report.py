@@ -19,11 +19,11 @@ from cellsys.figures import (
     headings,
     order_sweep,
     pole_map,
+    save_png,
+    sheet,
 )
 from cellsys.mechanics.spreading import SpreadingSystem
-from cellsys.store import atomic_path, write_text
-
-_DPI = 110
+from cellsys.store import write_text
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1000px; margin: 2rem auto; padding: 0 1rem;
@@ -40,57 +40,43 @@ img { max-width: 100%; } pre { background: #f6f6f6; padding: .7rem; overflow-x: 
 
 def write_figures(result: Any, system: SpreadingSystem, folder: Path) -> dict[str, Path]:
     """Draw every figure of the report; returns name -> file."""
-    from matplotlib.figure import Figure
-
     drawn: dict[str, Path] = {}
-
-    def save(figure: Figure, name: str) -> None:
-        target = folder / f"{name}.png"
-        with atomic_path(target) as temporary:
-            figure.savefig(temporary, dpi=_DPI, format="png")
-        drawn[name] = target
-
     run, mesh, disc = result.run, system.cells[0].body.membrane, system.matrix
     x, u = run.block("cell1.position"), run.block("matrix.displacement")
 
-    figure = Figure(figsize=(10, 8), layout="constrained")
-    axes = figure.subplots(2, 2, height_ratios=[2.2, 1])
+    figure, axes = sheet((10, 8), 2, 2, heights=(2.2, 1))
     for column, k in enumerate((0, -1)):
         cell_from_above(x[k], mesh.triangles, disc.position + u[k], disc.fibres, axes[0, column])
         axes[0, column].set_title(f"t = {run.t[k]:g} s")
         cell_from_side(x[k], mesh.triangles, axes[1, column])
-    save(figure, "cell_and_matrix")
+    drawn["cell_and_matrix"] = save_png(figure, folder / "cell_and_matrix.png")
 
-    figure = Figure(figsize=(7, 5.6), layout="constrained")
-    displacement_field(disc.position, u[-1], figure.subplots())
-    save(figure, "displacement_field")
+    figure, ax = sheet((7, 5.6))
+    displacement_field(disc.position, u[-1], ax)
+    drawn["displacement_field"] = save_png(figure, folder / "displacement_field.png")
 
     small = result.model
-    pairs = [(small, result.certainty.spread)]
     large = max((m for n, m in result.models if n == "PCR"), default=small.order)
-    pairs.append((result.models["PCR", large], None))
-    figure = Figure(figsize=(10, 4.4), layout="constrained")
-    for ax, (model, spread) in zip(figure.subplots(1, 2), pairs, strict=True):
-        pole_map(model.poles(), ax, spread=spread)
-        ax.set_title(f"PCR, m = {model.order}")
-    save(figure, "pole_map")
+    figure, axes = sheet((10, 4.4), 1, 2)
+    pole_map(result.certainty.poles, axes[0], spread=result.certainty.spread)
+    pole_map(result.models["PCR", large].poles(), axes[1])
+    for ax, order in zip(axes, (small.order, large), strict=True):
+        ax.set_title(f"PCR, m = {order}")
+    drawn["pole_map"] = save_png(figure, folder / "pole_map.png")
 
-    figure = Figure(figsize=(10, 4.4), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    order_sweep(result.sweep, left)
-    error_against_time(result.sweep, right)
-    save(figure, "error_against_order")
+    figure, axes = sheet((10, 4.4), 1, 2)
+    order_sweep(result.sweep, axes[0])
+    error_against_time(result.sweep, axes[1])
+    drawn["error_against_order"] = save_png(figure, folder / "error_against_order.png")
 
     if result.margins is not None:
-        figure = Figure(figsize=(7.5, 6), layout="constrained")
-        bode(result.margins, figure.subplots(2, 1, sharex=True))
+        figure, axes = sheet((7.5, 6), 2, sharex=True)
+        bode(result.margins, axes)
         figure.suptitle("Return ratio of the polarity loop, cut at kappa")
-        save(figure, "bode")
-        figure = Figure(figsize=(8, 4.2), layout="constrained")
-        headings(
-            {"full order": run, f"reduced, m = {small.order}": result.reduced}, figure.subplots()
-        )
-        save(figure, "polarity")
+        drawn["bode"] = save_png(figure, folder / "bode.png")
+        figure, ax = sheet((8, 4.2))
+        headings({"full order": run, f"reduced, m = {small.order}": result.reduced}, ax)
+        drawn["polarity"] = save_png(figure, folder / "polarity.png")
     return drawn
 
 

@@ -51,7 +51,8 @@ class Lamellipodium(Effect):
         super().__post_init__()
         if not self.full > self.edge:
             raise SceneError(
-                f"lamellipodium.full must be > edge = {self.edge:g}, got {self.full:g}"
+                "lamellipodium.full must be > lamellipodium.edge, got "
+                f"full = {self.full:g} and edge = {self.edge:g}"
             )
 
     def elements(self, site: Site) -> tuple[Element, ...]:

@@ -1,0 +1,33 @@
+"""Figures without a display: a sheet of axes, and a PNG written whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from cellsys.store import atomic_path
+
+DPI = 110
+
+
+def sheet(
+    size: tuple[float, float],
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    heights: tuple[float, ...] | None = None,
+    sharex: bool = False,
+) -> tuple[Figure, Any]:
+    """A new figure of `size` inches and its axes; pyplot and its state are not involved."""
+    figure = Figure(figsize=size, layout="constrained")
+    return figure, figure.subplots(rows, columns, height_ratios=heights, sharex=sharex)
+
+
+def save_png(figure: Figure, path: str | Path) -> Path:
+    """Write a figure as PNG, atomically; returns the path."""
+    target = Path(path)
+    with atomic_path(target) as temporary:
+        figure.savefig(temporary, dpi=DPI, format="png")
+    return target
