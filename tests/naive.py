@@ -73,3 +73,38 @@ def lagged_tangent_velocities(system, factor, step, n_steps=25):
         x[:n] += move
         out.append(move[-1] / step)
     return np.array(out)
+
+
+def uncentred_pcr(data, basis, intercept):
+    """eq. 24 in an uncentred basis, A alone: right without an intercept, wrong with one."""
+    import numpy as np
+
+    n, S, V = data.states.size, basis.scale, basis.V
+    weight = basis.inverse_scale()[:, None] * V
+    now, rate = [], []
+    for run in data.runs:
+        z_eta = run.eta @ weight[n:]
+        now.append((run.x[:-1] @ weight[:n] + z_eta)[:-1])
+        rate.append(np.diff(z_eta, axis=0) / data.dt)
+    now = np.concatenate(now)
+    columns = np.column_stack([now, np.ones(len(now))]) if intercept else now
+    K = np.linalg.lstsq(columns, np.concatenate(rate), rcond=None)[0][: now.shape[1]]
+    image = data.W_x @ (S[:n, None] * V[:n]) + data.W_eta @ (S[n:, None] * V[n:])
+    return weight[:n].T @ image + K.T
+
+
+def backward_slope(eta, dt):
+    """Slope of (eta_k - eta_k-1)/dt on eta_k: damping comes out with the wrong sign."""
+    import numpy as np
+
+    return float(np.polyfit(eta[1:], np.diff(eta) / dt, 1)[0])
+
+
+def pole_error_of_one_long_run(runs, dt, exact):
+    """Poles from runs glued into one: differences across the seams."""
+    import numpy as np
+
+    x = np.concatenate(runs)
+    step = np.linalg.lstsq(x[:-1], x[1:], rcond=None)[0].T
+    poles = np.log(np.linalg.eigvals(step).astype(complex)) / dt
+    return float(np.abs(np.sort_complex(poles) - exact).max())

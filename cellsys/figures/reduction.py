@@ -84,7 +84,7 @@ def order_sweep(sweep: Any, ax: Any = None) -> Any:
     ax.set(xscale="log", yscale="log", xlabel="order m", ylabel="error on cells / their motion")
     ax.set_xticks([r.order for r in rows], [str(r.order) for r in rows])
     ax.minorticks_off()
-    ax.legend(fontsize="small")
+    ax.legend(fontsize="x-small", ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.18))
     ax.grid(alpha=0.3)
     return ax
 
@@ -104,7 +104,15 @@ def error_against_time(sweep: Any, ax: Any = None) -> Any:
         for r in rows:
             ax.annotate(f" {r.order}", (1e-3 * r.roll_out_ms, r.error["cells"]), fontsize="small")
     ax.axvline(sweep.full_order_s, color="k", lw=1)
-    ax.text(sweep.full_order_s, 0.5, " full order", rotation=90, fontsize="small")
+    ax.text(
+        sweep.full_order_s,
+        0.04,
+        "full order ",
+        rotation=90,
+        fontsize="small",
+        ha="right",
+        transform=ax.get_xaxis_transform(),
+    )
     ax.set(
         xscale="log",
         yscale="log",

@@ -24,6 +24,7 @@ class _Method:
     max_steps: int = 1_000_000
     cascade: int = 100
     first_step: float | None = field(default=None)
+    finds_events: ClassVar[bool] = True
     _solver: ClassVar[Any] = None
 
     def __post_init__(self) -> None:

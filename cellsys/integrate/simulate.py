@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.sparse as sp
 
-from cellsys.errors import BudgetError, DataError, DimensionError
+from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
 from cellsys.system import Block, Event, Layout, OdeSystem
 from cellsys.trajectory import Trajectory
 
@@ -111,8 +111,8 @@ def simulate(
     ----------
     system : OdeSystem
         What to integrate.
-    integrator : LinearlyImplicit, ExplicitEuler, CVODES or RungeKutta4
-        How; it carries its step or tolerances.
+    integrator : LinearlyImplicit, ExplicitEuler, CVODES, RungeKutta4, DOP853, Radau or LSODA
+        How; it carries its step or tolerances. The last three locate a system's events.
     t : array (T,)
         Sample times, s, increasing; the run starts at t[0].
     x0 : array (n,), optional
@@ -132,6 +132,8 @@ def simulate(
         When the integrator fails or returns NaN; it has the time, state norm and step.
     BudgetError
         When the record does not fit into memory.
+    ParameterError
+        When the system has events and the integrator does not look for them.
     """
     times = check_times(t)
     start = np.array(system.x0 if x0 is None else x0, dtype=float)
@@ -139,6 +141,12 @@ def simulate(
         raise DimensionError(f"x0 must have shape {system.x0.shape}, got {start.shape}")
     if not np.all(np.isfinite(start)):
         raise DataError("x0 holds NaN or inf")
+    guards = system.events()
+    if guards and not getattr(integrator, "finds_events", False):
+        raise ParameterError(
+            f"{type(integrator).__name__} does not look for events and this system has some "
+            f"({guards[0].name!r}, ...); use DOP853, Radau or LSODA"
+        )
     rows = sink if sink is not None else _Memory(record_shapes(system, times, auxiliaries))
     if auxiliaries:
         rows.arrays["eta_start"][: system.auxiliaries.size] = system.eta(float(times[0]), start)

@@ -40,8 +40,8 @@ def summary_of_run(run: Trajectory, rest: np.ndarray | None = None) -> dict[str,
     -------
     dict
         Crawl distance, contact radii and heights at start and end, mean membrane speed, and with
-        `rest` the 99th percentile of matrix speed under the cell (within 12 um of its centre),
-        the mean near the rim (outer 13 % of the radius), and the greatest displacement.
+        `rest` the 99th percentile of matrix speed under the cell (within its contact radius), the
+        mean near the rim (outer 13 % of the radius), and the greatest displacement.
     """
     x = run.block("cell1.position")
     centre = x.mean(axis=1)
@@ -58,9 +58,12 @@ def summary_of_run(run: Trajectory, rest: np.ndarray | None = None) -> dict[str,
     speed = 1e3 * node_speed(run, "matrix.displacement")
     r = np.hypot(rest[:, 0], rest[:, 1])
     off = np.hypot(rest[None, :, 0] - centre[:-1, None, 0], rest[None, :, 1] - centre[:-1, None, 1])
+    under = off < np.array([contact_radius(p) for p in x[:-1]])[:, None]
     u = run.block("matrix.displacement")
     return out | {
-        "matrix_speed_p99_under_cell_nm_s": float(np.percentile(speed[off < 12.0], 99)),
+        "matrix_speed_p99_under_cell_nm_s": float(np.percentile(speed[under], 99))
+        if under.any()
+        else 0.0,
         "matrix_speed_mean_rim_nm_s": float(speed[:, r > 0.87 * r.max()].mean()),
         "matrix_displacement_max_um": float(np.linalg.norm(u, axis=2).max()),
     }

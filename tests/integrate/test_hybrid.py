@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from cellsys.errors import IntegrationError, ParameterError
-from cellsys.integrate import CVODES, DOP853, LSODA, Radau, simulate
+from cellsys.integrate import (
+    CVODES,
+    DOP853,
+    LSODA,
+    ExplicitEuler,
+    Radau,
+    RungeKutta4,
+    simulate,
+)
 from cellsys.system import EventFunction, OdeSystem
 
 METHODS = (DOP853, LSODA, Radau)
@@ -203,3 +211,11 @@ def test_settings_are_checked(method):
     system = Hybrid([level], states=["x"], x0=[1.0], W_x=[[-1.0]])
     with pytest.raises(ParameterError, match="level needs direction"):
         simulate(system, method(rtol=1e-6, atol=1e-6), [0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    "other", [CVODES(rtol=1e-6, atol=1e-8), RungeKutta4(step=0.1), ExplicitEuler(step=0.1)]
+)
+def test_methods_without_event_location_refuse_a_system_with_events(other):
+    with pytest.raises(ParameterError, match=r"does not look for events.*'bounce'.*DOP853"):
+        simulate(ball(), other, [0.0, 1.0])

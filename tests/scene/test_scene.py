@@ -190,7 +190,8 @@ values = st.recursive(
 keys = st.sampled_from(
     ["name", "duration", "sample", "step", "seed", "matrix", "cells", "effects", "commands",
      "training", "matrix.modulus", "matrix.diameter", "matrix.nodes", "matrix.inclusion",
-     "cells.0.position", "cells.0.radius", "cells.0.effects", "effects.drag", "effects.drag.cell", "effects.volume",
+     "cells.0.position", "cells.0.radius", "cells.0.effects", "effects.drag",
+     "effects.drag.cell", "effects.volume",
      "effects.focal_adhesion.bonds", "effects.external_load", "commands.heading", "training.runs"]
 ) | st.text(max_size=10).filter(lambda k: "." not in k)  # fmt: skip
 
