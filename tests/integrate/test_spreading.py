@@ -187,6 +187,18 @@ def test_polarity_keeps_its_length(runs):
     assert np.abs(np.linalg.norm(runs[STEP].d[:, 0], axis=1) - 1.0).max() < 1e-12
 
 
+def test_switching_keeps_its_residual_below_five_percent_at_half_the_step():
+    """Jumps want a step of 0.25 s, as the effect's text says (0.12 of the matrix at 0.5 s)."""
+    spec = load_scene(SCENE)
+    effects = {**spec.effects, "focal_adhesion": FocalAdhesion(kinetics="switching")}
+    system = build(dataclasses.replace(spec, effects=effects))
+    run = simulate(system, LinearlyImplicit(step=0.25), np.arange(0.0, 101.0, 5.0))
+    for share in run.residual_share().values():
+        assert share < 0.05
+    rate = np.diff(run.x, axis=0) / np.diff(run.t)[:, None]
+    assert np.abs(rate - run.eta @ run.W_eta.T - run.u).max() < 1e-11  # bond numbers reach 50
+
+
 # Smaller systems: seeds, resuming, stop points
 
 

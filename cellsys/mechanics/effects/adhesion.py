@@ -31,6 +31,8 @@ class FocalAdhesion(Effect):
 
     ``kinetics = "clutch"``: mean-field motor clutch, smooth (mechanics.md 2.4b).
     ``kinetics = "switching"``: Bell clusters on single matrix nodes (mechanics.md 2.3-2.4).
+    Every binding and rupture is a jump: a scene's step of 0.25 s keeps the step residual under 5 %
+    (0.5 s is enough for the clutch), and runs that start 5 nm apart differ by some 8 %.
     """
 
     name: ClassVar[str] = "focal_adhesion"
