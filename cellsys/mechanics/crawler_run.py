@@ -31,8 +31,8 @@ class CrawlRun(Drawable):
     reason : str
         For each cell why it stalled, or why the run was stopped; empty where it finished.
     chatter : int
-        Switches that followed the one before at once, or within a thousandth of the median
-        interval.
+        Switches of a cell that followed its last one at once, or within a thousandth of its median
+        interval. Two cells that switch at the same time do not chatter.
     """
 
     system: CrawlerSystem
@@ -85,12 +85,13 @@ def crawl(
 
 
 def chatter(events: tuple[Event, ...]) -> int:
-    """Number of switches at once after another, or within 1e-3 of the median interval."""
-    if len(events) < 2:
-        return 0
-    gaps = np.diff([e.time for e in events])
-    usual = float(np.median(gaps[gaps > 0])) if np.any(gaps > 0) else 0.0
-    return int(np.sum(gaps <= CHATTER * usual))
+    """Switches of one cell at once after its last, or within 1e-3 of its median interval."""
+    count = 0
+    for cell in {e.name.split(" ")[0] for e in events}:
+        gaps = np.diff([e.time for e in events if e.name.startswith(cell + " ")])
+        usual = float(np.median(gaps[gaps > 0])) if np.any(gaps > 0) else 0.0
+        count += int(np.sum(gaps <= CHATTER * usual))
+    return count
 
 
 def _stall(system: CrawlerSystem, run: Trajectory) -> str:

@@ -54,3 +54,12 @@ def test_example_writes_only_where_told(tmp_path, capsys):
     main(quick=True, out=str(tmp_path / "figures"))
     assert "steady speed at 12 V: 585.4 rad/s" in capsys.readouterr().out
     assert {p.name for p in (tmp_path / "figures").iterdir()} == {"bode.png", "graph.png"}
+
+
+def test_crawler_example(tmp_path, capsys):
+    main = runpy.run_path(str(EXAMPLE.with_name("crawler.py")))["main"]
+    main(quick=True, out=str(tmp_path))
+    printed = capsys.readouterr().out
+    assert "one cell: crawler finished (18 switches)" in printed
+    assert "on a soft chain: crawler stalled" in printed
+    assert len(list(tmp_path.iterdir())) == 3

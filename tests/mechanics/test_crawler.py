@@ -280,6 +280,7 @@ def test_two_cells_meet_and_block_each_other():
     assert np.all(held[:, 0] < held[:, 2])  # leads never pass
     assert run.outcome == "stalled"
     assert "holds the node ahead of its lead" in run.reason
+    assert run.chatter == 0  # mirror images switch together: no chatter
 
 
 def test_mirror_image():
