@@ -19,6 +19,7 @@ import scipy.sparse as sp
 from cellsys.bondgraph.elements import GY, TF, CField, Internal, NodalEffort, R
 from cellsys.bondgraph.graph import is_modulated
 from cellsys.bondgraph.outputs import Output, output_sign
+from cellsys.bondgraph.quantities import dimension_of, read
 from cellsys.bondgraph.structure import Structure
 from cellsys.errors import CausalityError, DimensionError, IntegrationError, NotSymbolicError
 from cellsys.laws.arrays import is_symbolic
@@ -65,6 +66,9 @@ class Laws:
     def __init__(self, structure: Structure) -> None:
         self.structure = structure
         graph = structure.graph
+        self.given = [
+            (self._value(o), o.shape) for o in structure.outputs if o.kind == "source"
+        ]
         kept = [o for o in structure.outputs if o.kind in ("law", "rate")]
         self.places = {}
         start = 0
@@ -105,12 +109,7 @@ class Laws:
         """Values of all sources at time t, (n_inputs,)."""
         if not self.structure.inputs.size:
             return _NONE
-        graph = self.structure.graph
-        parts: list[Any] = []
-        for o in self.structure.outputs:
-            if o.kind == "source":
-                value = graph.ports[o.index].element.value
-                parts.append((value(t) if callable(value) else self._constant(o), o.shape))
+        parts = [(value(t) if callable(value) else value, shape) for value, shape in self.given]
         if any(is_symbolic(v) for v, _ in parts):
             import casadi as ca
 
@@ -118,11 +117,12 @@ class Laws:
         flat = [np.broadcast_to(np.asarray(v, float), shape).ravel() for v, shape in parts]
         return np.concatenate(flat) if flat else np.zeros(0)
 
-    def _constant(self, output: Output) -> Any:
-        from cellsys.bondgraph.quantities import dimension_of, read
-
+    def _value(self, output: Output) -> Any:
+        """A source's function of time, or its number in the graph's units."""
         graph = self.structure.graph
         port = graph.ports[output.index]
+        if callable(port.element.value):
+            return port.element.value
         quantity = "effort" if output.quantity == "e" else "flow"
         expected = dimension_of(quantity, graph.domains[port.bond])
         return read(port.element.value, expected, graph.units, f"source {output.name!r}")

@@ -189,6 +189,20 @@ def test_gyrator_ratio_has_units():
         motor("10 N")
 
 
+def test_sources_have_units_and_may_depend_on_time():
+    def circuit(value):
+        return BondGraph(
+            [Se("V", value), One("i", domain="electric"), R("r", "1 ohm"), I("L", "2 H")],
+            ["V -> i -> r", "i -> L"],
+            units="si",
+        ).equations()
+
+    np.testing.assert_allclose(circuit("250 mV").u(0.0, np.zeros(1)), [0.25])
+    np.testing.assert_allclose(circuit(np.sin).u(0.3, np.zeros(1)), [np.sin(0.3)])
+    with pytest.raises(UnitError, match=r"source 'V'.*wrong dimension"):
+        circuit("3 A")
+
+
 def test_a_law_of_the_wrong_size_is_named():
     graph = BondGraph(
         [One("v", shape=(2, 3)), I("m", 1.0), C("k", law=lambda q: q[0])], ["v -> m", "v -> k"]
