@@ -8,6 +8,7 @@ The covariance of all columns is never formed. Snapshots are streamed by blocks 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral
 
 import numpy as np
 import scipy.linalg as sla
@@ -38,7 +39,7 @@ class RandomisedSVD:
     """
 
     oversample: int = 20
-    power: int = 2
+    power: int = 1
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -82,19 +83,29 @@ def moments(data: Snapshots) -> tuple[np.ndarray, np.ndarray]:
 
 
 def scale_factors(data: Snapshots, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Scale factor of every column; 0 where it does not vary beyond rounding."""
-    floor = (1e-14 * np.maximum(np.abs(mean), np.sqrt(variance.max(initial=0.0)))) ** 2
-    varies = variance > np.maximum(floor, 1e-280)
-    if data.scale == "none":
-        factor = np.ones(data.n_columns)
-    elif data.scale == "column":
-        factor = np.sqrt(variance)
+    """Scale factor of every column; 0 where it does not vary beyond rounding.
+
+    Beyond rounding: 1e-14 of its mean, and of the largest spread of the columns that share its
+    unit (its block; all columns when scale is "none").
+    """
+    spread = np.sqrt(variance)
+    if data.scale == "column":
+        largest, factor = np.zeros(data.n_columns), spread
+    elif data.scale == "none":
+        largest, factor = np.full(data.n_columns, spread.max()), np.ones(data.n_columns)
     else:
-        factor = np.ones(data.n_columns)
+        largest, factor = np.zeros(data.n_columns), np.ones(data.n_columns)
         for group in data.groups():
-            total = float(variance[group].sum())
-            factor[group] = np.sqrt(total) if total > 0 else 1.0
-    return np.where(varies, factor, 0.0)
+            largest[group] = spread[group].max(initial=0.0)
+            factor[group] = np.sqrt(variance[group].sum()) or 1.0
+    floor = np.maximum(1e-14 * np.maximum(np.abs(mean), largest), 1e-140)
+    return np.where(spread > floor, factor, 0.0)
+
+
+def check_order(order: int) -> None:
+    """Refuse anything but a whole number >= 1."""
+    if isinstance(order, bool) or not isinstance(order, Integral) or order < 1:
+        raise ParameterError(f"order must be a whole number >= 1, got {order!r}")
 
 
 def fit_basis(
@@ -121,8 +132,7 @@ def fit_basis(
     RankError
         When the data span fewer than `order` directions; the message has the rank.
     """
-    if isinstance(order, bool) or int(order) != order or order < 1:
-        raise ParameterError(f"order must be a whole number >= 1, got {order!r}")
+    check_order(order)
     most = min(data.n_samples - (1 if center else 0), data.n_columns)
     if order > most:
         raise RankError(

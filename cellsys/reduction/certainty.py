@@ -52,4 +52,7 @@ def pole_certainty(
         distance = np.abs(poles[:, None] - other[None, :])
         rows, cols = linear_sum_assignment(np.where(np.isfinite(distance), distance, 1e6))
         spread[rows] = np.maximum(spread[rows], distance[rows, cols])
+    # A pair that turns into two real poles is matched either way round: both get the larger.
+    partner = np.argmin(np.abs(poles[:, None] - poles.conj()[None, :]), axis=1)
+    spread = np.maximum(spread, spread[partner])
     return PoleCertainty(poles, spread)

@@ -15,14 +15,13 @@ from cellsys.errors import (
     DataError,
     DimensionError,
     FileFormatError,
-    IntegrationError,
     ParameterError,
     RepresentationError,
 )
 from cellsys.reduction.card import Card
 from cellsys.reduction.model_file import ARRAYS, load_model, save_model
 from cellsys.reduction.sensor import StiffnessSensor
-from cellsys.reduction.steps import hold, to_continuous
+from cellsys.reduction.steps import hold, roll, to_continuous
 from cellsys.system import Layout
 
 
@@ -92,10 +91,13 @@ class LatentModel(Drawable):
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
+        for name in ARRAYS:
+            if np.iscomplexobj(getattr(self, name)):
+                raise DataError(f"{name} is complex; a latent model is made of real numbers")
         A = np.atleast_2d(np.array(self.A, dtype=float))
         m = A.shape[0]
-        if A.shape != (m, m):
-            raise DimensionError(f"A must be square, got {A.shape}")
+        if A.shape != (m, m) or m == 0:
+            raise DimensionError(f"A must be square and not empty, got {A.shape}")
         put("A", A)
         B = np.zeros((m, 0)) if self.B is None else np.array(self.B, dtype=float)
         put("B", B.reshape(m, -1) if B.ndim < 2 and B.size % m == 0 else B)
@@ -122,6 +124,8 @@ class LatentModel(Drawable):
                 "mean": (self.mean.shape, (rows,)),
                 "scale": (self.scale.shape, (rows,)),
             }
+            if np.any(self.scale < 0):
+                raise DataError("scale holds a negative factor; 0 marks a dropped column")
             if not 0 <= self.n_states <= rows:
                 raise DimensionError(f"n_states must be between 0 and {rows}, got {self.n_states}")
         for name, (got, expected) in shapes.items():
@@ -242,7 +246,9 @@ class LatentModel(Drawable):
             return sla.eigvals(self.A)
         step = sla.eigvals(np.eye(self.order) + self.dt * self.A).astype(complex)
         with np.errstate(divide="ignore"):
-            return np.log(step) / self.dt
+            log = np.log(step)
+        # By parts: -inf (an eigenvalue 0) must not turn the imaginary part into NaN.
+        return log.real / self.dt + 1j * (log.imag / self.dt)
 
     def growth(self) -> float:
         """Spectral abscissa, 1/s: largest real part of the continuous poles."""
@@ -283,43 +289,17 @@ class LatentModel(Drawable):
             c[:] = given
         if not np.all(np.isfinite(c)):
             raise DataError("u holds NaN or inf")
-        out = np.empty((len(t), self.order))
-        out[0] = z0
+        repeats = np.ones(len(steps), int)
         if self.dt is not None:
             counts = steps / self.dt
-            if np.any(np.abs(counts - np.round(counts)) > 1e-6) or np.any(np.round(counts) < 1):
+            repeats = np.round(counts).astype(int)
+            if np.any(np.abs(counts - repeats) > 1e-6) or np.any(repeats < 1):
                 raise ParameterError(
                     f"t must lie on the model's grid of {self.dt:g} s; got intervals from "
                     f"{steps.min():g} to {steps.max():g} s"
                 )
-            A, B, b = self.step_matrices()
-            repeats = np.round(counts).astype(int)
-        else:
-            repeats = np.ones(len(steps), int)
-        z = z0.copy()
-        held: dict[float, tuple] = {}
-        limit = 1e150 * max(1.0, float(np.abs(z0).max(initial=0.0)))
-        for k, repeat in enumerate(repeats):
-            if self.dt is None:
-                key = round(float(steps[k]), 12)
-                if key not in held:
-                    held[key] = self.step_matrices(float(steps[k]))
-                A, B, b = held[key]
-            drive = B @ c[k] + b
-            for _ in range(repeat):
-                z = A @ z + drive
-            out[k + 1] = z
-            if k % 64 == 0 or k == len(repeats) - 1:
-                largest = float(np.abs(z).max(initial=0.0))
-                if not largest < limit:
-                    raise IntegrationError(
-                        f"the latent model diverges: spectral abscissa {self.growth():.3g} 1/s; "
-                        "use a lower order or a shorter horizon",
-                        time=float(t[k + 1]),
-                        state_norm=largest if np.isfinite(largest) else float("inf"),
-                        step=float(steps[k]),
-                    )
-        return out
+        matrices = (lambda dt: self.step_matrices()) if self.dt is not None else self.step_matrices
+        return roll(z0, c, t, repeats, matrices, self.growth)
 
     # Control
 

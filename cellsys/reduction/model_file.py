@@ -50,13 +50,17 @@ def load_model(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray] 
             "states": _layout_from(meta["states"]),
             "auxiliaries": _layout_from(meta["auxiliaries"]),
             "input_names": tuple(meta["input_names"]),
-            "card": None if meta["card"] is None else Card(**meta["card"]),
+            "card": _card_from(meta["card"]),
             "notes": meta["notes"],
         }
     except (KeyError, TypeError, ValueError) as error:
         raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
     sensor = {k[7:]: v for k, v in arrays.items() if k.startswith("sensor ")}
     return values, sensor or None
+
+
+def _card_from(table: dict[str, Any] | None) -> Card | None:
+    return None if table is None else Card(**(table | {"runs": tuple(table["runs"])}))
 
 
 def _layout_table(layout: Layout | None) -> list | None:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.errors import DataError, ParameterError
-from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
+from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, check_order, fit_basis
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.snapshots import Snapshots
 
@@ -175,6 +175,7 @@ class LatentParts:
 
 def truncated(basis: Basis | None, order: int) -> Basis | None:
     """The first `order` directions of a basis that has at least as many."""
+    check_order(order)
     if basis is None or basis.V.shape[1] < order:
         return None
     return Basis(

@@ -105,6 +105,14 @@ def fit_sensor(
     """
     if not latent or len(latent) != len(directions):
         raise DataError("a sensor needs as many runs of latent samples as of directions")
+    for i, (z, d) in enumerate(zip(latent, directions, strict=True)):
+        if np.ndim(z) != 2 or np.shape(d) != (len(z), 3):
+            raise DimensionError(
+                f"run {i} needs latent samples (T, m) and directions (T, 3), got {np.shape(z)} and "
+                f"{np.shape(d)}"
+            )
+        if not (np.all(np.isfinite(z)) and np.all(np.isfinite(d))):
+            raise DataError(f"run {i} of the sensor's samples holds NaN or inf")
 
     def score(ridge: float) -> float:
         if len(latent) == 1:

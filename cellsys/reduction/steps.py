@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy.linalg as sla
 
-from cellsys.errors import ParameterError
+from cellsys.errors import IntegrationError, ParameterError
 
 Affine = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -53,3 +55,52 @@ def to_continuous(A: np.ndarray, B: np.ndarray, b: np.ndarray, dt: float) -> Aff
         )
     log = log / dt
     return log[:m, :m], log[:m, m : m + k - 1], log[:m, -1]
+
+
+# Overflow ends in inf or NaN, which is turned into an error.
+@np.errstate(over="ignore", invalid="ignore")
+def roll(
+    z0: np.ndarray,
+    c: np.ndarray,
+    t: np.ndarray,
+    repeats: np.ndarray,
+    matrices: Callable[[float], Affine],
+    growth: Callable[[], float],
+) -> np.ndarray:
+    """Samples (T, m) of z+ = A z + B c_k + b, applied `repeats[k]` times in interval k.
+
+    `matrices(dt)` gives (A, B, b) for an interval of dt seconds; it is asked once per length.
+
+    Raises
+    ------
+    IntegrationError
+        Beyond 1e150 times the start; `growth()` (1/s) is named.
+    """
+    steps = np.diff(t)
+    out = np.empty((len(t), len(z0)))
+    out[0] = z0
+    limit = 1e150 * max(1.0, float(np.abs(z0).max(initial=0.0)))
+    spare, drives, step = np.empty(len(z0)), np.empty((len(steps), len(z0))), {}
+    lengths = np.round(steps, 9)
+    for dt in np.unique(lengths):
+        rows = np.flatnonzero(lengths == dt)
+        step[dt], B, b = matrices(float(steps[rows[0]]))
+        drives[rows] = c[rows] @ B.T + b
+    for k, repeat in enumerate(repeats):
+        A, z = step[lengths[k]], out[k + 1]
+        np.dot(A, out[k], out=z)
+        z += drives[k]
+        for _ in range(repeat - 1):
+            np.dot(A, z, out=spare)
+            np.add(spare, drives[k], out=z)
+        if k % 64 == 0 or k == len(repeats) - 1:
+            largest = float(np.abs(z).max(initial=0.0))
+            if not largest < limit:
+                raise IntegrationError(
+                    f"the latent model diverges: spectral abscissa {growth():.3g} 1/s; "
+                    "use a lower order or a shorter horizon",
+                    time=float(t[k + 1]),
+                    state_norm=largest if np.isfinite(largest) else float("inf"),
+                    step=float(steps[k]),
+                )
+    return out

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import scipy.sparse as sp
 
 from cellsys.errors import DataError, DimensionError, FileFormatError, ParameterError
 from cellsys.reduction.snapshots import RunData, Snapshots
+from cellsys.store.archive import READ_ERRORS
 from cellsys.system import Block, Layout
 
 _NPZ_KEYS = ("x", "eta", "u", "commands", "W_x", "W_eta", "dt", "t")
@@ -50,7 +50,7 @@ def from_user(
                     )
                 )
                 W_x, W_eta = arrays.get("W_x", W_x), arrays.get("W_eta", W_eta)
-                step = float(arrays["dt"]) if "dt" in arrays else _interval(arrays, path)
+                step = float(arrays["dt"].item()) if "dt" in arrays else _interval(arrays, path)
             else:
                 raise ParameterError(f"run {i}: {path.name!r} is neither .npz nor .csv")
             if dt is None:
@@ -118,12 +118,23 @@ def _read_npz(path: Path) -> dict[str, np.ndarray]:
     if not path.exists():
         raise FileNotFoundError(f"no file {str(path)!r}")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {k: archive[k] for k in archive.files if k in _NPZ_KEYS}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        # Opened here: np.load leaves the file open when it is not a zip archive after all.
+        with path.open("rb") as file:
+            archive = np.load(file, allow_pickle=False)
+            if not hasattr(archive, "files"):
+                raise FileFormatError(f"{path.name} holds one bare array, not named ones")
+            with archive:
+                arrays = {
+                    k: np.asarray(archive[k], dtype=float) for k in archive.files if k in _NPZ_KEYS
+                }
+    except FileFormatError:
+        raise
+    except READ_ERRORS as error:
         raise FileFormatError(f"{path.name} is not a readable npz file: {error}") from error
     if "x" not in arrays:
         raise FileFormatError(f"{path.name} has no array 'x' (samples, states)")
+    if "dt" in arrays and arrays["dt"].size != 1:
+        raise DimensionError(f"{path.name}: dt must be one number, got {arrays['dt'].shape}")
     return arrays
 
 
@@ -139,11 +150,12 @@ def _interval(arrays: dict[str, np.ndarray], path: Path) -> float | None:
 def _read_csv(path: Path) -> tuple[np.ndarray, float, list[str]]:
     if not path.exists():
         raise FileNotFoundError(f"no file {str(path)!r}")
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.reader(file))
     try:
+        # utf-8-sig: spreadsheets write a byte order mark.
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if row]
         table = np.array([[float(v) for v in row] for row in rows[1:]])
-    except ValueError as error:
+    except (ValueError, csv.Error) as error:
         raise FileFormatError(f"{path.name}: a header and then numbers are needed: {error}") from (
             error
         )

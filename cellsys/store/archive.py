@@ -17,6 +17,20 @@ from cellsys.errors import FileFormatError
 from cellsys.store.atomic import atomic_path
 
 _HEADER = "cellsys"
+# What numpy's reader raises on truncated, damaged or foreign files.
+READ_ERRORS = (
+    ValueError,
+    OSError,
+    EOFError,
+    KeyError,
+    SyntaxError,
+    MemoryError,
+    NotImplementedError,
+    tokenize.TokenError,
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 def save_archive(
@@ -79,19 +93,7 @@ def load_archive(
                 arrays = {name: archive[name] for name in archive.files if name != _HEADER}
     except FileFormatError:
         raise
-    except (
-        ValueError,
-        OSError,
-        EOFError,
-        KeyError,
-        SyntaxError,
-        MemoryError,
-        NotImplementedError,
-        tokenize.TokenError,
-        struct.error,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+    except READ_ERRORS as error:
         raise FileFormatError(f"{source.name!r} is truncated or not a cellsys file: {error}") from (
             error
         )
