@@ -132,17 +132,22 @@ class LatentParts:
 
     @classmethod
     def of(cls, data: Snapshots, basis: Basis) -> LatentParts:
-        """Project all used samples, in two passes over the data."""
+        """Project all used samples and their successors, in one pass over the data."""
         n = data.states.size
         weight = basis.inverse_scale()[:, None] * basis.V
-        x: list[list] = [[], []]
-        eta: list[list] = [[], []]
-        for ahead in (0, 1):
-            for piece in data.pieces(ahead, basis.mean):
-                x[ahead].append(piece[:, :n] @ weight[:n])
-                eta[ahead].append(piece[:, n:] @ weight[n:])
+        parts: list[list] = [[], [], [], []]
+        for run in data.runs:
+            x, eta = [], []
+            for piece in data.blocks(run, np.arange(run.n_pairs + 1), basis.mean):
+                x.append(piece[:, :n] @ weight[:n])
+                eta.append(piece[:, n:] @ weight[n:])
+            ks = run.usable()
+            for out, whole in ((parts[:2], x), (parts[2:], eta)):
+                rows = np.concatenate(whole)
+                out[0].append(rows[ks])
+                out[1].append(rows[ks + 1])
         return cls(
-            *(np.concatenate(p) for p in (*x, *eta)),
+            *(np.concatenate(p) for p in parts),
             data.run_ids,
             np.concatenate([r.usable() for r in data.runs]),
         )

@@ -16,7 +16,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.laws.polarity import heading_features
+from cellsys.reduction.commands import recorded_commands
+from cellsys.store.runs import read_rows, release
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 
@@ -47,6 +48,11 @@ class RunData:
         """Samples k for which both x~_k and x~_k+1 exist."""
         last = 2 if self.eta is not None else 1
         return max(0, len(self.x) - last)
+
+    def release(self) -> None:
+        """Let go of memory-mapped pages; see `cellsys.store.release`."""
+        for array in (self.x, self.eta, self.u):
+            release(getattr(array, "_array", array))
 
     def usable(self) -> np.ndarray:
         """Sample indices k whose step k -> k+1 crosses no event."""
@@ -95,6 +101,15 @@ class Snapshots:
             raise DataError("snapshots need at least one run")
         if not self.n_samples:
             raise DataError("every run is too short: a run needs at least three samples")
+        n = self.states.size
+        for name, W, shape in (
+            ("W_x", self.W_x, (n, n)),
+            ("W_eta", self.W_eta, (n, self.auxiliaries.size)),
+        ):
+            if W.shape != shape:
+                raise DimensionError(f"{name} must have shape {shape}, got {W.shape}")
+            if not np.all(np.isfinite(W.data)):
+                raise DataError(f"{name} holds NaN or inf")
         for i, run in enumerate(self.runs):
             for name, value, width in (
                 ("x", run.x, self.states.size),
@@ -108,9 +123,14 @@ class Snapshots:
                     raise DimensionError(
                         f"{name} of run {i} must have {width} columns, got shape {np.shape(value)}"
                     )
+                if name != "x" and len(value) != len(run.x) - 1:
+                    raise DimensionError(
+                        f"{name} of run {i} must have one row per interval, {len(run.x) - 1} for "
+                        f"{len(run.x)} samples of x, got {len(value)}"
+                    )
                 for start in range(0, len(value), ROWS):
                     # a sum is finite only if every entry is (or two infs met: then it is NaN)
-                    if not np.isfinite(np.sum(value[start : start + ROWS])):
+                    if not np.isfinite(np.sum(read_rows(value, start, start + ROWS))):
                         raise DataError(
                             f"{name} of run {i} holds NaN or inf near sample {start}; "
                             "repair or leave out that run"
@@ -141,18 +161,23 @@ class Snapshots:
 
         `shift` (columns,) is subtracted. The block is valid until the next one is asked for.
         """
-        n = self.states.size
-        buffer = np.empty((ROWS, self.n_columns))
-        minus = np.zeros(self.n_columns) if shift is None else shift
         for run in self.runs:
-            ks = run.usable()
-            for start in range(0, len(ks), ROWS):
-                rows = ks[start : start + ROWS] + ahead
-                out = buffer[: len(rows)]
-                np.subtract(_take(run.x, rows), minus[:n], out=out[:, :n])
-                if run.eta is not None:
-                    np.subtract(_take(run.eta, rows), minus[n:], out=out[:, n:])
-                yield out
+            yield from self.blocks(run, run.usable() + ahead, shift)
+
+    def blocks(
+        self, run: RunData, samples: np.ndarray, shift: np.ndarray | None = None
+    ) -> Iterator[np.ndarray]:
+        """Blocks of rows of [x; eta] of one run at the given samples; see `pieces`."""
+        n = self.states.size
+        buffer = np.empty((min(ROWS, len(samples)), self.n_columns))
+        minus = np.zeros(self.n_columns) if shift is None else shift
+        for start in range(0, len(samples), ROWS):
+            rows = samples[start : start + ROWS]
+            out = buffer[: len(rows)]
+            np.subtract(_take(run.x, rows), minus[:n], out=out[:, :n])
+            if run.eta is not None:
+                np.subtract(_take(run.eta, rows), minus[n:], out=out[:, n:])
+            yield out
 
     def stacked(self, name: str) -> np.ndarray:
         """`u` or `commands` of all used samples, stacked; zeros where a run has none."""
@@ -224,7 +249,7 @@ class Snapshots:
 def _take(array: Any, rows: np.ndarray) -> np.ndarray:
     """Rows of an array; a slice, hence no copy, when they are consecutive."""
     if len(rows) and rows[-1] - rows[0] + 1 == len(rows):
-        return array[rows[0] : rows[-1] + 1]
+        return read_rows(array, int(rows[0]), int(rows[-1]) + 1)
     return array[rows]
 
 
@@ -283,7 +308,7 @@ def _from_trajectories(runs: list[Trajectory], scale: str) -> Snapshots:
     states, auxiliaries = first.states, first.auxiliaries
     if len(keep_x) < first.states.size:
         states, keep_eta, auxiliaries = _without_controller(first)
-    commands, names = _commands(runs)
+    commands, names = recorded_commands(runs)
     data = []
     for i, run in enumerate(runs):
         if run.states != first.states or run.auxiliaries != first.auxiliaries:
@@ -356,31 +381,3 @@ def _without_controller(run: Trajectory) -> tuple[Layout, np.ndarray, Layout]:
             kept.append(np.arange(piece.start, piece.stop))
             blocks.append(block)
     return states, np.concatenate(kept), Layout(blocks)
-
-
-def command_features(
-    p: np.ndarray, amplitude: np.ndarray | None
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Inputs of a latent model: amplitude times (1, cos, sin, cos 2, sin 2) of each heading.
-
-    p (T, cells, 3), amplitude (T, cells) or None for 1; returns (T, 5 cells) and their names.
-    """
-    features, names = [], []
-    for c in range(p.shape[1]):
-        shape = np.array([heading_features(row) for row in p[:, c]]).reshape(len(p), 4)
-        a = np.ones(len(p)) if amplitude is None else amplitude[:, c]
-        features.append(np.column_stack([a, a[:, None] * shape]))
-        names += [f"cell{c + 1}.{n}" for n in ("amplitude", "cos", "sin", "cos2", "sin2")]
-    return np.concatenate(features, axis=1), tuple(names)
-
-
-def _commands(runs: list[Trajectory]) -> tuple[list[np.ndarray], tuple[str, ...]]:
-    if any(r.p is None for r in runs):
-        return [], ()
-    tables, names = [], ()
-    for run in runs:
-        table, names = command_features(
-            np.asarray(run.p), None if run.amplitude is None else np.asarray(run.amplitude)
-        )
-        tables.append(0.5 * (table[:-1] + table[1:]))
-    return tables, names

@@ -3,7 +3,7 @@
 from cellsys.store.archive import load_archive, save_archive
 from cellsys.store.atomic import atomic_path, write_json, write_text
 from cellsys.store.hashing import fingerprint
-from cellsys.store.runs import RunReader, RunWriter
+from cellsys.store.runs import RunReader, RunWriter, read_rows, release
 
 __all__ = [
     "RunReader",
@@ -11,6 +11,8 @@ __all__ = [
     "atomic_path",
     "fingerprint",
     "load_archive",
+    "read_rows",
+    "release",
     "save_archive",
     "write_json",
     "write_text",

@@ -8,6 +8,7 @@ interrupted run go on.
 from __future__ import annotations
 
 import json
+import mmap
 import os
 import shutil
 from collections.abc import Mapping
@@ -146,3 +147,41 @@ class RunReader:
         for name, shape in shapes.items():
             if self.arrays[name].shape != shape:
                 raise FileFormatError(f"array {name!r} of run {self.folder.name!r} is damaged")
+
+
+def _mapped(array: Any) -> np.memmap | None:
+    """The read-only memory map that an array is a view of, or None."""
+    while array is not None:
+        if isinstance(array, np.memmap) and isinstance(array.base, mmap.mmap):
+            return array if array.mode == "r" else None
+        array = getattr(array, "base", None)
+    return None
+
+
+def read_rows(array: Any, start: int, stop: int) -> np.ndarray:
+    """Rows start..stop of a 2-D array; of a memory map they are read from the file.
+
+    Reading leaves nothing behind in resident memory, and is faster than faulting pages in.
+    `array` may be a view of some consecutive rows and columns of the map.
+    """
+    owner = _mapped(array)
+    if owner is None or owner.ndim != 2 or np.ndim(array) != 2 or array.strides != owner.strides:
+        return array[start:stop]
+    width, size = owner.shape[1], owner.dtype.itemsize
+    skipped, column = divmod((array.ctypes.data - owner.ctypes.data) // size, width)
+    rows = min(stop, len(array)) - start
+    with open(owner.filename, "rb") as file:
+        offset = owner.offset + (skipped + start) * width * size
+        block = np.fromfile(file, owner.dtype, rows * width, offset=offset)
+    return block.reshape(rows, width)[:, column : column + array.shape[1]]
+
+
+def release(array: Any) -> None:
+    """Let go of the pages of a memory-mapped array that have been read; they stay on disk.
+
+    Resident memory then follows what is in use, not all that was ever touched. Arrays in memory
+    are left alone.
+    """
+    owner = _mapped(array)
+    if owner is not None and hasattr(mmap, "MADV_DONTNEED"):
+        owner.base.madvise(mmap.MADV_DONTNEED)
