@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from cellsys.laws.fibre import axial
 from cellsys.mechanics import clutch_kernels as clutch_loops
-from cellsys.mechanics.effects.adhesion import SurfaceBins, rim_factor
+from cellsys.mechanics.effects.clutch import SurfaceBins, rim_factor
 from cellsys.mechanics.effects.membrane import area_forces, line_forces
 from cellsys.mechanics.effects.switching import bind_nearest, cluster_loads
 from cellsys.mechanics.fibre_kernels import fibre_forces, fibre_slopes

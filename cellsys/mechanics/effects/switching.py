@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from cellsys.laws.bell import (
@@ -18,15 +16,13 @@ from cellsys.mechanics.effects.membrane import diagonal
 from cellsys.mechanics.effects.protocol import (
     CellBody,
     Configuration,
+    Effect,
     Element,
     Port,
     Stiffness,
 )
 from cellsys.mechanics.geometry.disc import Disc
 from cellsys.system import Block, Event
-
-if TYPE_CHECKING:
-    from cellsys.mechanics.effects.adhesion import FocalAdhesion
 
 FREE = -1.0  # partner of a membrane node without a cluster
 RUPTURE = 0.5  # bond number below which a cluster is gone
@@ -101,7 +97,7 @@ class SwitchingElement(Element):
     Source: mechanics.md 2.3-2.4.
     """
 
-    def __init__(self, effect: FocalAdhesion, cell: CellBody, disc: Disc) -> None:
+    def __init__(self, effect: Effect, cell: CellBody, disc: Disc) -> None:
         self.effect, self.disc = effect, disc
         self.name = f"{cell.name}.{effect.name}"
         self.array = cell.name
@@ -156,9 +152,7 @@ class SwitchingElement(Element):
 
     def energy(self, s: Configuration) -> float:
         """Energy of the stretched bonds at the present bond numbers and rest lengths."""
-        return self._loads(
-            s, np.zeros_like(s.nodes[self.array]), np.zeros_like(s.nodes[MATRIX])
-        )
+        return self._loads(s, np.zeros_like(s.nodes[self.array]), np.zeros_like(s.nodes[MATRIX]))
 
     def rates(self, s: Configuration, v: dict[str, np.ndarray], out: tuple) -> None:
         e = self.effect
