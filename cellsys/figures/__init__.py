@@ -11,6 +11,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "bondgraph": ["bond_graph"],
         "crawler": ["crawler_predictions", "crawler_run", "error_against_amplitude"],
         "loop": ["headings", "linearisation"],
+        "norms": ["system_norm"],
         "reduction": [
             "error_against_time",
             "latent_model",

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.linalg as sla
 from scipy.optimize import minimize_scalar
 
+from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError
+from cellsys.response.frequency import FrequencyResponse, frequency_response
 from cellsys.response.gramians import factor, unscaled
 from cellsys.response.realization import Realization, balance, realization
 from cellsys.response.resolvent import Resolvent, s_plane
 
 
 @dataclass(frozen=True)
-class SystemNorm:
-    """A norm; ``float()`` gives the value.
+class SystemNorm(Drawable):
+    """A norm; ``float()`` gives the value, ``plot()`` the singular values with the peak marked.
 
     Attributes
     ----------
@@ -31,13 +33,23 @@ class SystemNorm:
         ``"H2"`` or ``"H-infinity"``.
     note : str
         Why it is infinite.
+    system : Realization
+        Whose norm it is.
     """
+
+    _figure: ClassVar[str] = "system_norm"
 
     value: float
     frequency: float
     upper: float
     kind: str
     note: str = ""
+    system: Realization | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def response(self) -> FrequencyResponse:
+        """Frequency response of the system on the automatic grid."""
+        return frequency_response(self.system)
 
     def __float__(self) -> float:
         return self.value
@@ -80,6 +92,10 @@ def h2_norm(sys: Any) -> SystemNorm:
     Zhou, Doyle and Glover, Robust and Optimal Control (1996), section 4.
     """
     system = realization(sys).dense()
+    return replace(_h2(system), system=system)
+
+
+def _h2(system: Realization) -> SystemNorm:
     note = _unstable(system)
     d = float(sla.norm(system.D)) if system.D.size else 0.0
     if not note and d > 0 and not system.is_discrete:
@@ -119,6 +135,10 @@ def hinf_norm(sys: Any, *, rtol: float = 1e-8) -> SystemNorm:
     Bruinsma and Steinbuch, Systems and Control Letters 14 (1990) 287.
     """
     system = realization(sys).dense()
+    return replace(_hinf(system, rtol), system=system)
+
+
+def _hinf(system: Realization, rtol: float) -> SystemNorm:
     note = _unstable(system)
     if note:
         return SystemNorm(np.inf, np.nan, np.inf, "H-infinity", note)
@@ -168,7 +188,9 @@ def _bilinear(system: Realization) -> Realization:
         return system
     left = sla.lu_solve(lu, np.hstack([A - np.eye(n), np.sqrt(2) * B]))
     return Realization(
-        left[:, :n], left[:, n:], np.sqrt(2) * sla.lu_solve(lu, C.T, trans=1).T,
+        left[:, :n],
+        left[:, n:],
+        np.sqrt(2) * sla.lu_solve(lu, C.T, trans=1).T,
         D - C @ sla.lu_solve(lu, B),
     )
 

@@ -103,3 +103,13 @@ def test_cost_script_runs_in_its_quick_form() -> None:
     )
     assert done.returncode == 0, done.stderr
     assert "fastest other" in done.stdout
+
+
+@pytest.mark.parametrize("norm", [response.h2_norm, response.hinf_norm])
+def test_norms_draw_the_singular_values(norm):
+    system = ct.ss([[-0.1, 1.0], [-1.0, -0.1]], [[0.0], [1.0]], [[1.0, 0.0]], 0, 0)
+    ax = norm(system).plot()
+    heights = np.concatenate([line.get_ydata() for line in ax.lines])
+    # No drawn singular value lies above the H-infinity norm, and its peak is on the grid.
+    assert heights.max() <= 20 * np.log10(float(response.hinf_norm(system))) + 1e-6
+    assert len(ax.lines) == (2 if norm is response.hinf_norm else 1)
