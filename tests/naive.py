@@ -108,3 +108,34 @@ def pole_error_of_one_long_run(runs, dt, exact):
     step = np.linalg.lstsq(x[:-1], x[1:], rcond=None)[0].T
     poles = np.log(np.linalg.eigvals(step).astype(complex)) / dt
     return float(np.abs(np.sort_complex(poles) - exact).max())
+
+
+def columns_reached_by_arctan():
+    """Columns of M_pol that arctan(y/x) + 90 degrees finds over the full turn: half of them."""
+    import numpy as np
+
+    theta = np.radians(np.arange(360) + 0.25)
+    return len(set(np.floor(np.degrees(np.arctan(np.sin(theta) / np.cos(theta))) + 90.0)))
+
+
+def half_turn_table(table):
+    """M_pol as an unsigned angle sees it: headings of the lower half read the upper half."""
+    import numpy as np
+
+    return np.column_stack([table[:, :180], table[:, :180]])
+
+
+def positive_sign_margin(point):
+    """Gain margin of +(kappa/s)(G - |d|): the sign of the text, for negative feedback wrong."""
+    import control
+    import numpy as np
+
+    from cellsys.response import margins
+
+    m = len(point.A_plant)
+    A = np.zeros((m + 1, m + 1))
+    A[:m, :m], A[:m, m] = point.A_plant, point.B_heading
+    B = np.zeros((m + 1, 1))
+    B[m, 0] = point.kappa
+    C = np.concatenate([point.S_heading, [-point.strength]])[None]
+    return margins(control.ss(A, B, C, np.zeros((1, 1)), 0)).gain_margin

@@ -57,7 +57,10 @@ def exact_step(p: np.ndarray, d: np.ndarray, kappa: float, dt: float) -> np.ndar
     # `across` is orthogonal to d only to rounding; a second pass keeps |p| over long runs.
     across -= (across @ d_unit) * d_unit
     turned = 2.0 * decay * across + (s - decay**2 * r) * d_unit
-    return length * turned / np.linalg.norm(turned)
+    turned *= length / np.linalg.norm(turned)
+    # |turned|^2 - |p|^2 without cancellation: norms rounded alike at every step would add up.
+    excess = float((turned - p) @ (turned + p)) / length**2
+    return turned - 0.5 * excess * turned
 
 
 def heading_features(p: Any, order: int = 2) -> Any:

@@ -201,6 +201,12 @@ class ClosedLoop:
         """
         z, p = self._point(at)
         A, B, b = self.model.continuous_matrices()
+        length = float(np.linalg.norm(p))
+        if not abs(p[2]) <= 1e-6 * length:
+            raise DataError(
+                f"p = {np.array2string(p, precision=3)} points out of the substrate plane; the loop "
+                "is linearised for headings in it"
+            )
         tangent = np.array([-p[1], p[0], 0.0]) / np.hypot(p[0], p[1])
         B_heading = B @ self._features_slope(p)
         raw = self.sensor.raw(z)
@@ -211,9 +217,9 @@ class ClosedLoop:
             )
         d = raw / size
         # Turning of p follows the part of d across p; normalisation removes the part along d.
-        S = tangent @ self.sensor.S_d / size
+        S = length * (tangent @ self.sensor.S_d) / size
         if self.normalise:
-            S = S - float(tangent @ d) * (d @ self.sensor.S_d) / size
+            S = S - length * float(tangent @ d) * (d @ self.sensor.S_d) / size
         strength = float(p @ d)
         kappa = self.controller.kappa
         rate = np.concatenate(
@@ -272,6 +278,8 @@ class ClosedLoop:
             )
         if at is None or isinstance(at, (int, float, str)):
             end = 1500.0 if at is None or isinstance(at, str) else float(at)
+            if not (np.isfinite(end) and end >= 0):
+                raise ParameterError(f"at must be a time >= 0 s, got {end!r}")
             if end > 0:
                 run = self.simulate(np.array([0.0, end]), CVODES(rtol=1e-8, atol=1e-8))
                 z, p = run.x[-1, : self.order], run.x[-1, self.order :]
@@ -279,23 +287,27 @@ class ClosedLoop:
                 z, p = self.z0, self.p0
             return self._equilibrium(z, p) if isinstance(at, str) else (z, p)
         if isinstance(at, Trajectory):
+            if at.states != self.system.states:
+                raise DimensionError(
+                    f"the trajectory has {at.states.size} states and is not one of this loop, "
+                    f"which has {self.order} latent states and p"
+                )
             return np.asarray(at.x[-1, : self.order]), np.asarray(at.x[-1, self.order :])
         z, p = (np.asarray(v, dtype=float) for v in at)
         if z.shape != (self.order,) or p.shape != (3,):
             raise DimensionError(
                 f"at must be (z ({self.order},), p (3,)), got {z.shape}, {p.shape}"
             )
-        if np.hypot(p[0], p[1]) == 0.0:
-            raise DataError("p is normal to the substrate: it has no heading")
+        _check_point(z, p)
         return z, p
 
     def _equilibrium(self, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        theta = float(np.arctan2(p[1], p[0]))
+        theta, length = float(np.arctan2(p[1], p[0])), float(np.linalg.norm(p))
         A, B, b = self.model.continuous_matrices()
         for _ in range(50):
-            p = np.array([np.cos(theta), np.sin(theta), 0.0])
+            p = length * np.array([np.cos(theta), np.sin(theta), 0.0])
             point = self.linearize((z, p))
-            across = np.array([-p[1], p[0], 0.0])
+            across = np.array([-p[1], p[0], 0.0]) / length**2
             rate = np.concatenate(
                 [
                     A @ z + B @ np.asarray(self.commands(p)) + b,
@@ -310,6 +322,13 @@ class ClosedLoop:
             "no equilibrium found: Newton's method stopped at a rate of "
             f"{np.linalg.norm(rate):.2g}; a crawling cell has none, linearise at a time instead"
         )
+
+
+def _check_point(z: np.ndarray, p: np.ndarray) -> None:
+    if not (np.all(np.isfinite(z)) and np.all(np.isfinite(p))):
+        raise DataError("z or p holds NaN or inf")
+    if np.hypot(p[0], p[1]) == 0.0:
+        raise DataError("p is normal to the substrate or zero: it has no heading")
 
 
 def _split(vector: Any) -> list:
@@ -364,4 +383,5 @@ def closed_loop(
     z0 = np.asarray(z0, dtype=float)
     if z0.shape != (model.order,) or p0.shape != (3,):
         raise DimensionError(f"z0 must be ({model.order},) and p0 (3,), got {z0.shape}, {p0.shape}")
+    _check_point(z0, p0)
     return ClosedLoop(model, controller or PolarityLaw(), sensor, normalise, z0, p0)

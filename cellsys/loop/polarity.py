@@ -37,6 +37,8 @@ class Perturb:
     def __post_init__(self) -> None:
         if not 0 < self.angle < np.pi:
             raise ParameterError(f"Perturb.angle must be in (0, pi) rad, got {self.angle!r}")
+        if not -1 <= self.within <= 1:
+            raise ParameterError(f"Perturb.within must be in [-1, 1], got {self.within!r}")
 
 
 @dataclass(frozen=True)
