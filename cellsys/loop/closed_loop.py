@@ -204,8 +204,8 @@ class ClosedLoop:
         length = float(np.linalg.norm(p))
         if not abs(p[2]) <= 1e-6 * length:
             raise DataError(
-                f"p = {np.array2string(p, precision=3)} points out of the substrate plane; the loop "
-                "is linearised for headings in it"
+                f"p = {np.array2string(p, precision=3)} points out of the substrate plane; the "
+                "loop is linearised for headings in it"
             )
         tangent = np.array([-p[1], p[0], 0.0]) / np.hypot(p[0], p[1])
         B_heading = B @ self._features_slope(p)

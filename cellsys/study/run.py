@@ -8,11 +8,11 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellsys.errors import CellsysError, ParameterError, SceneError
+from cellsys.errors import CellsysError, ParameterError, RankError, SceneError
 from cellsys.integrate import CVODES
 from cellsys.loop import ClosedLoop, Linearisation, PolarityLaw, closed_loop
 from cellsys.observe import summary_of_run
@@ -25,12 +25,16 @@ from cellsys.reduction import (
     pole_certainty,
     snapshots,
 )
+from cellsys.reduction.basis import check_order
 from cellsys.response import Margins, margins, stability
-from cellsys.scene import Scene, build, load_scene, run_ensemble, training_scenes
+from cellsys.scene import ChainScene, Scene, build, load_scene, run_ensemble, training_scenes
 from cellsys.store import write_json
 from cellsys.study.coordinates import learn_coordinates
 from cellsys.study.measure import OrderSweep, sweep_orders
 from cellsys.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from cellsys.study.crawler import CrawlerStudy
 
 ORDERS = (5, 10, 20, 50, 100)
 Progress = Callable[[str, float], None]
@@ -103,7 +107,7 @@ def study(
     workers: int = 2,
     resume: bool = True,
     progress: Progress | None = None,
-) -> StudyResult:
+) -> StudyResult | CrawlerStudy:
     """From a scene to poles, margins, a closed-loop run and a report.
 
     Writes into `out`: ``run.npz``, ``model.npz`` (PCR), ``summary.json``, ``figures/*.png``,
@@ -112,7 +116,8 @@ def study(
     Parameters
     ----------
     scene : Scene or path
-        With exactly one cell on a matrix.
+        With exactly one cell on a disc; or on a chain, which is run and reported without models
+        (`study_crawler`; `order`, `workers` and `resume` are not used).
     out : path
         Output folder; made when missing. Runs already there are reused.
     order : int
@@ -124,11 +129,15 @@ def study(
     progress : callable, optional
         Called with a stage's name and its share done.
     """
+    from cellsys.study.crawler import study_crawler
+
     began = time.perf_counter()
     if not isinstance(scene, Scene):
         scene = load_scene(scene)
-    _check(scene, order)
+    if isinstance(scene.matrix, ChainScene):
+        return study_crawler(scene, out, progress)
     folder = Path(out)
+    _check(scene, order, folder)
     cache = folder / "runs"
     if not resume and cache.exists():
         for partial in cache.glob("*.partial"):
@@ -209,9 +218,11 @@ def study(
     return result
 
 
-def _check(scene: Scene, order: int) -> None:
-    if isinstance(order, bool) or int(order) != order or order < 1:
-        raise ParameterError(f"order must be a whole number >= 1, got {order!r}")
+def _check(scene: Scene, order: int, folder: Path) -> None:
+    """Refuse what cannot work before anything is run or written."""
+    check_order(order)
+    if folder.exists() and not folder.is_dir():
+        raise ParameterError(f"out = {str(folder)!r} is a file; give a folder")
     if len(scene.cells) != 1 or scene.matrix is None:
         raise SceneError(
             f"a study needs exactly one cell on a matrix, this scene has {len(scene.cells)} cells; "
@@ -220,6 +231,13 @@ def _check(scene: Scene, order: int) -> None:
     if "lamellipodium" not in scene.effects:
         raise SceneError(
             "a study steers the cell by its lamellipodium; add effects.lamellipodium = {}"
+        )
+    samples = sum(max(len(s.times) - 2, 0) for s in training_scenes(scene)[0])
+    if order >= samples:
+        raise RankError(
+            f"order {order} is beyond the data: the training runs of this scene give {samples} "
+            f"samples, which span at most {max(samples - 1, 0)} directions; lower the order or "
+            "lengthen training"
         )
 
 
@@ -332,6 +350,8 @@ def plain(value: Any) -> Any:
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not np.isfinite(value):

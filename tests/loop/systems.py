@@ -1,4 +1,4 @@
-"""Small closed loops: a random stable latent model with heading features as inputs, a random sensor."""
+"""Small closed loops: a random stable latent model steered by heading features, and a sensor."""
 
 import numpy as np
 

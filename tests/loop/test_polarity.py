@@ -26,9 +26,10 @@ def between(p, d):
     return 2.0 * np.arctan2(np.linalg.norm(a - b), np.linalg.norm(a + b))
 
 
-@given(
-    angles, angles, angles, angles, st.floats(0.1, 5.0), st.floats(0.1, 5.0), st.floats(0.0, 8.0)
-)
+sizes = st.floats(0.1, 5.0)
+
+
+@given(angles, angles, angles, angles, sizes, sizes, st.floats(0.0, 8.0))
 def test_half_angle_decays_exponentially(a, b, c, e, size, strength, tau):
     p, d = size * unit(a, b), strength * unit(c, e)
     law = PolarityLaw(kappa=0.3)

@@ -1,0 +1,158 @@
+"""`study` of a scene on a chain: the run, how it ended, how fast the cells crawled."""
+
+from __future__ import annotations
+
+import html
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellsys.figures import chain_displacement, crawler_run, save_png, sheet
+from cellsys.mechanics.crawler_run import CrawlRun, judge
+from cellsys.scene import Scene, build, run_scene
+from cellsys.store import save_archive, write_json, write_text
+from cellsys.study.report import _STYLE, _g, _image, _table
+from cellsys.study.run import plain
+
+
+@dataclass(frozen=True, eq=False)
+class CrawlerStudy:
+    """What `study` computed of a scene on a chain.
+
+    Attributes
+    ----------
+    crawl : CrawlRun
+        The full-order run and its outcome; no reduced model is learned here.
+    summary : mapping
+        What ``summary.json`` holds.
+    out : Path
+    """
+
+    scene: Scene
+    crawl: CrawlRun
+    summary: Mapping[str, Any]
+    out: Path
+
+    def __str__(self) -> str:
+        return str(self.crawl)
+
+    def report(self) -> str:
+        """The study in words, for a terminal."""
+        lines = [str(self.crawl.trajectory), ""]
+        for name, row in self.summary["cells"].items():
+            lines.append(f"{name}:")
+            lines += [f"  {k.replace('_', ' '):28s} {v:.4g}" for k, v in row.items()]
+        return "\n".join([*lines, "", str(self)])
+
+
+def study_crawler(
+    scene: Scene, out: str | Path, progress: Callable[[str, float], None] | None = None
+) -> CrawlerStudy:
+    """Run a scene on a chain and report on it.
+
+    Writes into `out`: ``run.npz``, ``summary.json``, ``figures/*.png``, ``report.html``.
+
+    Raises
+    ------
+    IntegrationError
+        When the run fails or the switches chatter; nothing is written then.
+    """
+    began = time.perf_counter()
+    say = progress or (lambda stage, share: None)
+    folder = Path(out)
+    say("full-order run", 0.0)
+    crawl = judge(build(scene), run_scene(scene))
+    say("full-order run", 1.0)
+    run: Any = crawl.trajectory
+    summary: dict[str, Any] = {
+        "scene": scene.name,
+        "fingerprint": scene.fingerprint(),
+        "outcome": crawl.outcome,
+        "reason": crawl.reason,
+        "switches": len(crawl.switches()),
+        "chatter": crawl.chatter,
+        "cells": cell_table(crawl),
+        "integrator": run.statistics["integrator"],
+        "full_order_s": run.statistics["wall_time"],
+    }
+    save_archive(
+        folder / "run.npz",
+        "run",
+        1,
+        {"t": run.t, "x": np.asarray(run.x), "switch_times": crawl.switches()},
+        {
+            "label": run.label,
+            "states": [[b.name, list(b.shape), b.unit, b.role, b.kind] for b in run.states],
+            "statistics": plain(run.statistics),
+            "events": [e.name for e in run.events],
+        },
+    )
+    say("report", 0.2)
+    figures = {}
+    for draw in (crawler_run, chain_displacement):
+        figure, ax = sheet((9, 5))
+        draw(crawl, ax)
+        figures[draw.__name__] = save_png(figure, folder / "figures" / f"{draw.__name__}.png")
+    result = CrawlerStudy(scene, crawl, summary, folder)
+    _write_report(result, figures)
+    say("report", 1.0)
+    summary["wall_time_s"] = time.perf_counter() - began
+    write_json(folder / "summary.json", plain(summary))
+    return result
+
+
+def cell_table(crawl: CrawlRun) -> dict[str, dict[str, float]]:
+    """Per cell: switches, time of the last one (NaN without any), speed, nodes at the end.
+
+    Speed and displacement are those of the middle between lead and trail, along the heading. The
+    crawl speed is taken from the start to the first sample after the cell's last switch, so that
+    standing still afterwards does not count; without a switch over the whole run. um/s.
+    """
+    run: Any = crawl.trajectory
+    table = {}
+    for k, cell in enumerate(crawl.system.cells):
+        name = f"cell{k + 1}"
+        middle = 0.5 * (run.block(f"{name}.lead") + run.block(f"{name}.trail"))
+        moved = cell.heading * (middle - middle[0])
+        times = crawl.switches(f"{name} ")
+        until = int(np.searchsorted(run.t, times[-1])) if times.size else len(run) - 1
+        until = max(until, 1)
+        table[name] = {
+            "switches": len(times),
+            "switches_of_lead": len(crawl.switches(f"{name} lead")),
+            "switches_of_trail": len(crawl.switches(f"{name} trail")),
+            "last_switch_s": float(times[-1]) if times.size else float("nan"),
+            "displacement_um": float(moved[-1]),
+            "crawl_speed_um_per_s": float(moved[until] / (run.t[until] - run.t[0])),
+            "lead_node_at_end": int(run.block(f"{name}.i_lead")[-1]),
+            "trail_node_at_end": int(run.block(f"{name}.i_trail")[-1]),
+        }
+    return table
+
+
+def _write_report(result: CrawlerStudy, figures: Mapping[str, Path]) -> None:
+    name, cells = html.escape(result.scene.name), result.summary["cells"]
+    rows = list(next(iter(cells.values())))
+    parts = [
+        "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
+        f"<title>{name}</title><style>{_STYLE}</style></head><body>",
+        f"<h1>{name}</h1>",
+        f"<p class='trust'><b>{html.escape(str(result))}</b></p>",
+        _image(figures["crawler_run"], "lead and trail against time, a tick at every switch"),
+        _table(
+            ("read-out", *cells),
+            [(r.replace("_", " "), *(_g(cells[c][r], 4) for c in cells)) for r in rows],
+        ),
+        "<h2>The chain</h2>",
+        _image(figures["chain_displacement"], "displacement of the chain against time"),
+        "<p class='note'>Crawl speed: from the start to the cell's last switch. "
+        f"{html.escape(result.summary['integrator'])}, {result.summary['full_order_s']:.3g} s. "
+        "The full-order run only: the default parameters are a working set without dimensions; "
+        "reduced models of it are compared in analysis/thesis/fig07_08_crawler.py.</p>",
+        "</body></html>",
+    ]
+    write_text(result.out / "report.html", "\n".join(parts))
