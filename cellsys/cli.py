@@ -19,7 +19,20 @@ if TYPE_CHECKING:
 
     from cellsys.reduction import LatentModel
 
+
+class _Commands(typer.core.TyperGroup):
+    """Ctrl-C in any command is one line and exit code 1."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            print("cellsys: interrupted; finished runs are kept", file=sys.stderr)
+            sys.exit(1)
+
+
 app = typer.Typer(
+    cls=_Commands,
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -45,7 +58,7 @@ def main() -> None:
         _say_error(error)
         sys.exit(2)
     except KeyboardInterrupt:
-        print("interrupted; run the same command again to go on", file=sys.stderr)
+        # Outside any command: while starting up.
         sys.exit(1)
 
 
@@ -112,9 +125,13 @@ def run(
 
     folder = Path("out") / scene.stem if out is None else out
     with _progress(quiet) as progress:
-        result = study(
-            scene, folder, order=order, workers=workers, resume=resume, progress=progress
-        )
+        try:
+            result = study(
+                scene, folder, order=order, workers=workers, resume=resume, progress=progress
+            )
+        except KeyboardInterrupt:
+            print("cellsys: interrupted; add --resume to go on from here", file=sys.stderr)
+            sys.exit(1)
     if as_json:
         _dump(result.summary)
         return

@@ -123,7 +123,9 @@ def encode_start(model: LatentModel, run: RunData) -> np.ndarray:
 def encode_run(model: LatentModel, run: RunData) -> np.ndarray:
     """z (T - 1, m) of a run's samples, from states and logged auxiliaries."""
     eta = None if run.eta is None else np.asarray(run.eta)
-    return model.encode(np.asarray(run.x)[:-1], eta)
+    z = model.encode(np.asarray(run.x)[:-1], eta)
+    run.release()
+    return z
 
 
 def _relative(error: np.ndarray, x: np.ndarray) -> float:
@@ -195,7 +197,7 @@ def errors(
     return {
         block: {
             key: (
-                float(np.mean([e[block][key] for e in each]))
+                float(np.mean([min(e[block][key], 1e300) for e in each]))
                 if key == "mse"
                 else float(np.sqrt(np.mean(np.square([min(e[block][key], 1e150) for e in each]))))
             )

@@ -300,14 +300,13 @@ def _from_trajectories(runs: list[Trajectory], scale: str) -> Snapshots:
     dt = float(steps[0])
     if np.ptp(steps) > 1e-9 * dt:
         raise DataError("all runs must be sampled at one constant interval")
-    keep_x = np.concatenate(
-        [first.states.where(role="component"), first.states.where(role="field")]
-    )
-    keep_x.sort()
+    learned = [b for b in first.states if b.role != "controller" and b.kind != "label"]
+    order = np.arange(first.states.size)
+    keep_x = np.concatenate([order[first.states.slice(b.name)] for b in learned])
     keep_eta = np.arange(first.auxiliaries.size)
     states, auxiliaries = first.states, first.auxiliaries
     if len(keep_x) < first.states.size:
-        states, keep_eta, auxiliaries = _without_controller(first)
+        states, keep_eta, auxiliaries = _learned_blocks(first, learned)
     commands, names = recorded_commands(runs)
     data = []
     for i, run in enumerate(runs):
@@ -366,8 +365,10 @@ class _Selected:
         return np.asarray(self[:], dtype=dtype)
 
 
-def _without_controller(run: Trajectory) -> tuple[Layout, np.ndarray, Layout]:
-    states = Layout([b for b in run.states if b.role != "controller"])
+def _learned_blocks(run: Trajectory, learned: list[Block]) -> tuple[Layout, np.ndarray, Layout]:
+    """States without controllers and labels, and the auxiliaries that go with them."""
+    states = Layout(learned)
+    left_out = {f"{b.name}.rate" for b in run.states if b.name not in states}
     kept, blocks = [], []
     for block in run.auxiliaries:
         piece = run.auxiliaries.slice(block.name)
@@ -377,7 +378,7 @@ def _without_controller(run: Trajectory) -> tuple[Layout, np.ndarray, Layout]:
             )
             kept.append(piece.start + rows)
             blocks.append(Block(block.name, (states.size,), block.unit, block.role, block.kind))
-        elif block.role != "controller":
+        elif block.role != "controller" and block.name not in left_out:
             kept.append(np.arange(piece.start, piece.stop))
             blocks.append(block)
     return states, np.concatenate(kept), Layout(blocks)

@@ -138,6 +138,8 @@ def study(
         return study_crawler(scene, out, progress)
     folder = Path(out)
     _check(scene, order, folder)
+    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
+        raise ParameterError(f"workers must be a whole number >= 1, got {workers!r}")
     cache = folder / "runs"
     if not resume and cache.exists():
         for partial in cache.glob("*.partial"):
@@ -221,8 +223,9 @@ def study(
 def _check(scene: Scene, order: int, folder: Path) -> None:
     """Refuse what cannot work before anything is run or written."""
     check_order(order)
-    if folder.exists() and not folder.is_dir():
-        raise ParameterError(f"out = {str(folder)!r} is a file; give a folder")
+    for place in (folder, *folder.parents):
+        if place.exists() and not place.is_dir():
+            raise ParameterError(f"out = {str(folder)!r}: {str(place)!r} is a file; give a folder")
     if len(scene.cells) != 1 or scene.matrix is None:
         raise SceneError(
             f"a study needs exactly one cell on a matrix, this scene has {len(scene.cells)} cells; "

@@ -31,9 +31,8 @@ def test_speed_of_a_steady_motion():
 
 
 def test_contact_radius_counts_low_nodes_only():
-    x = np.array(
-        [[3.0, 0, 0.2], [-3.0, 0, 0.2], [0, 5.0, 0.9], [0, -5.0, 5.0], [9.0, 0, 8.0], [-9, 0, 8.0]]
-    )
+    low = [[3.0, 0, 0.2], [-3.0, 0, 0.2], [0, 5.0, 0.9]]
+    x = np.array([*low, [0, -5.0, 5.0], [9.0, 0, 8.0], [-9, 0, 8.0]])
     assert abs(contact_radius(x) - 5.0) < 1e-14
     assert abs(contact_radius(x + [100.0, -40.0, 0.0]) - 5.0) < 1e-12
     assert contact_radius(x + [0, 0, 2.0]) == 0.0

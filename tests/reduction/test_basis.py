@@ -1,13 +1,13 @@
 """The basis: orthonormal, streamed as exact, ranks refused, constant columns kept apart, units."""
 
 import dataclasses
+import sys
 
 import numpy as np
 import pytest
 import scipy.linalg as sla
 import scipy.sparse as sp
 
-import sys
 from cellsys.errors import ParameterError, RankError
 from cellsys.reduction import (
     PCR,

@@ -137,7 +137,7 @@ def test_predict_of_a_step_model_on_and_off_its_grid(model):
     assert np.array_equal(coarse, fine[[0, 2, 4, 8]])
     assert np.array_equal(model.predict(z0, None, 7.3 + dt * np.arange(9)), fine)
     for t in (dt * np.array([0.0, 0.5]), dt * np.array([0.0, 1.0, 1.9]), np.array([0.0, 1e-9])):
-        with pytest.raises(ParameterError, match="grid of 0.1 s"):
+        with pytest.raises(ParameterError, match=r"grid of 0\.1 s"):
             model.predict(z0, None, t)
 
 

@@ -66,7 +66,7 @@ def test_bad_npz_files_are_refused(tmp_path, x):
     whole = path.read_bytes()
     for length in (0, 1, 30, 100, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:length])
-        with pytest.raises(FileFormatError, match="bad.npz"):
+        with pytest.raises(FileFormatError, match=r"bad\.npz"):
             snapshots([path])
     for position in range(0, len(whole), 11):
         broken = bytearray(whole)

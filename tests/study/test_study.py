@@ -1,4 +1,4 @@
-"""The study on a tiny scene: what it writes, that it reuses runs, refuses, and resumes bit for bit."""
+"""The study on a tiny scene: what it writes, reuses and refuses; runs resume bit for bit."""
 
 import dataclasses
 import json
@@ -103,7 +103,7 @@ class Sources(HTMLParser):
 
 
 def test_report_is_one_self_contained_file(done):
-    result, out, _ = done
+    _, out, _ = done
     text = (out / "report.html").read_text(encoding="utf-8")
     parser = Sources()
     parser.feed(text)
@@ -191,7 +191,7 @@ def test_without_polarity_there_is_no_loop_and_the_reason_is_written(tmp_path):
 @pytest.mark.parametrize(
     ("replace", "words"),
     [
-        ({'radius = "5 um"': 'radius = "5 um"\n[[cells]]\nposition = ["11 um", "0 um"]\nradius = "5 um"'},
+        ({"[effects]": '[[cells]]\nposition = ["11 um", "0 um"]\nradius = "5 um"\n[effects]'},
          "exactly one cell"),
         ({'lamellipodium = { force = "600 pN" }\n': ""}, "lamellipodium"),
     ],
@@ -228,7 +228,8 @@ def test_plain_values():
     got = plain({"a": np.float64(1.5), "b": (np.inf, -np.inf, np.nan), 3: np.int64(4), "c": None,
                  "d": np.bool_(True), "e": np.arange(3), "f": "text"})  # fmt: skip
     assert json.loads(json.dumps(got, allow_nan=False)) == {
-        "a": 1.5, "b": ["inf", "-inf", "nan"], "3": 4, "c": None, "d": True, "e": [0, 1, 2], "f": "text",
+        "a": 1.5, "b": ["inf", "-inf", "nan"], "3": 4, "c": None, "d": True, "e": [0, 1, 2],
+        "f": "text",
     }  # fmt: skip
 
 

@@ -1,0 +1,49 @@
+"""Every example and analysis script runs in its quick form, in a process of its own."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+# Over five seconds even in their quick form: they run full-order cells or time many models.
+FAST = {
+    "bring_your_own_model.py",
+    "bring_your_own_snapshots.py",
+    "bond_graph.py",
+}
+SCRIPTS = sorted(
+    [*(ROOT / "examples").glob("*.py"), *(ROOT / "analysis").glob("*.py")], key=lambda p: p.name
+)
+
+
+def run(script, folder, *arguments):
+    path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH", "")) if p)
+    return subprocess.run(
+        [sys.executable, "-W", "error::UserWarning", str(script), *arguments],
+        cwd=folder, env={**os.environ, "PYTHONPATH": path, "MPLBACKEND": "Agg"},
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        pytest.param(p, id=p.name, marks=[] if p.name in FAST else [pytest.mark.slow])
+        for p in SCRIPTS
+    ],
+)
+def test_script_runs_in_its_quick_form(script, tmp_path):
+    done = run(script, tmp_path, "--quick")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()
+    assert "Traceback" not in done.stderr
+    # nothing is left behind where it was called
+    assert not list(tmp_path.iterdir())
+
+
+def test_examples_are_short():
+    for script in (ROOT / "examples").glob("*.py"):
+        assert len(script.read_text().splitlines()) < 60, script.name
