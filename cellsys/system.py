@@ -37,7 +37,8 @@ class Block:
     role : {"component", "field", "controller"}
         To which part of the loop it belongs: a cell, the shared matrix, or the polarity law.
     kind : str
-        ``"position"``, ``"rate"`` or ``"internal"``: which blocks share a scale factor.
+        ``"position"``, ``"rate"`` or ``"internal"``: which blocks share a scale factor; or
+        ``"label"``: a discrete label, which no reduced model learns.
     """
 
     name: str

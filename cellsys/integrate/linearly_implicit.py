@@ -130,29 +130,34 @@ class _ImplicitStepper(Stepper):
         )
         return _Factor(index, block.key, dt, factor.solve)
 
-    def _base_solve(self, rhs: np.ndarray, out: np.ndarray) -> None:
-        for factor in self.factors.values():
-            if factor.index.size:
-                out[factor.index] = factor.solve(rhs[factor.index])
-                self.statistics["solves"] += 1
-
     def _solve(self, rhs: np.ndarray, low_rank: tuple) -> np.ndarray:
+        """(C/dt + M + sum of k g g^T)^-1 rhs by kept factors and the Woodbury identity.
+
+        u - Z (K^-1 + G^T Z)^-1 G^T u with u = M^-1 rhs, Z = M^-1 G.
+        """
         out = np.zeros_like(rhs)
-        self._base_solve(rhs, out)
+        G = np.zeros((len(low_rank), rhs.size))
+        for row, item in zip(G, low_rank, strict=True):
+            row[item.index] = item.direction
+        Z = np.zeros_like(G)
+        for factor in self.factors.values():
+            i = factor.index
+            if not i.size:
+                continue
+            out[i] = factor.solve(rhs[i])
+            self.statistics["solves"] += 1
+            for g, z in zip(G, Z, strict=True):
+                part = g[i]
+                if part.any():
+                    z[i] = factor.solve(part)
         if not low_rank:
             return out
-        # Woodbury: (M + G K G^T)^-1 r = u - Z (K^-1 + G^T Z)^-1 G^T u, u = M^-1 r, Z = M^-1 G
-        G = np.zeros((rhs.size, len(low_rank)))
-        Z = np.zeros_like(G)
-        for j, item in enumerate(low_rank):
-            G[item.index, j] = item.direction
-            touched = np.zeros(rhs.size, bool)
-            touched[item.index] = True
-            for factor in self.factors.values():
-                if factor.index.size and touched[factor.index[0, 0]]:
-                    Z[factor.index, j] = factor.solve(G[factor.index, j])
-        small = np.diag([1.0 / item.stiffness for item in low_rank]) + G.T @ Z
-        return out - Z @ sla.solve(small, G.T @ out, assume_a="pos")
+        small = G @ Z.T
+        small[np.diag_indices_from(small)] += [1.0 / item.stiffness for item in low_rank]
+        seen = G @ out
+        if len(seen) == 1:
+            return out - (seen[0] / small[0, 0]) * Z[0]
+        return out - sla.solve(small, seen, assume_a="pos") @ Z
 
     def take_step(self, t: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
         done = self._try(t, dt)

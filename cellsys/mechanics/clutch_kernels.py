@@ -81,7 +81,7 @@ def clutch_rates(
 def clutch_advance(
     x, n, stretch, reach_rim, slip, dt, k_b, k_on, height, width, k_off0, f_b, v_m, n_new, s_new
 ):
-    """n and S after dt with rates frozen at the start: exact exponentials."""
+    """n and S after dt: exact exponentials at the start's rates, S driven by the mean n."""
     c0, c1 = x[:, 0].mean(), x[:, 1].mean()
     for i in range(x.shape[0]):
         load = k_b * np.sqrt(stretch[i, 0] ** 2 + stretch[i, 1] ** 2)
@@ -92,9 +92,10 @@ def clutch_advance(
         rest = on / (on + off)
         n_new[i] = rest + (n[i] - rest) * np.exp(-(on + off) * dt)
         decay = np.exp(-off * dt)
-        gain = (1.0 - decay) / off
-        s_new[i, 0] = stretch[i, 0] * decay + gain * n[i] * (slip[i, 0] + v_m * d0 / r)
-        s_new[i, 1] = stretch[i, 1] * decay + gain * n[i] * (slip[i, 1] + v_m * d1 / r)
+        # Bonds formed during the step carry their share of it: the mean of n, not its start.
+        gain = 0.5 * (n[i] + n_new[i]) * (1.0 - decay) / off
+        s_new[i, 0] = stretch[i, 0] * decay + gain * (slip[i, 0] + v_m * d0 / r)
+        s_new[i, 1] = stretch[i, 1] * decay + gain * (slip[i, 1] + v_m * d1 / r)
 
 
 @compiled

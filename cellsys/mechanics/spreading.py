@@ -136,7 +136,7 @@ class SpreadingSystem(OverdampedSystem):
             ("_drag", c),
             ("_mobility", mobility),
             ("_internal", tuple(inside)),
-            ("_last", None),
+            ("_last", ()),
         ):
             object.__setattr__(self, name, value)
         index = {}
@@ -152,10 +152,10 @@ class SpreadingSystem(OverdampedSystem):
     # Views
 
     def configuration(self, t: float, x: np.ndarray) -> Configuration:
-        """Named views into x; the views of the last state asked for are kept."""
-        last = self._last
-        if last is not None and last[0] is x and last[1].t == t:
-            return last[1]
+        """Named views into x; those of the step under way are kept, with what was found there."""
+        for kept_x, kept in self._last:
+            if kept_x is x and kept.t == t:
+                return kept
         nodes = {a: self.states.view(x, b) for a, b in self._arrays.items()}
         internal = {b.name: self.states.view(x, b.name) for b in self._internal}
         return Configuration(t, nodes, internal)
@@ -238,9 +238,8 @@ class SpreadingSystem(OverdampedSystem):
             element.forget()
 
     def advance_internal(self, t: float, x: np.ndarray, x_new: np.ndarray, dt: float) -> None:
-        s = self.configuration(t, x)
-        object.__setattr__(self, "_last", (x, s))
-        end = self.configuration(t + dt, x_new)
+        s, end = self.configuration(t, x), self.configuration(t + dt, x_new)
+        object.__setattr__(self, "_last", ((x, s), (x_new, end)))
         for element in self.elements:
             if element.internal:
                 element.advance(s, end, dt)

@@ -200,7 +200,9 @@ def test_clutch_advance_is_the_exact_solution_at_frozen_rates(bonds):
         clutch_loops.clutch_advance(*arguments)
         rest = on / (on + off)
         assert np.allclose(n_new, rest + (n - rest) * np.exp(-(on + off) * dt), **CLOSE)
-        still = drive / off[:, None]
+        # Drive is linear in n; the step uses the mean of n at its two ends.
+        share = 0.5 * (n + n_new) / n
+        still = (drive / off[:, None]) * share[:, None]
         expected = still + (stretch - still) * np.exp(-off * dt)[:, None]
         # (1 - exp(-a))/a loses digits for small a: 1e-16/(off dt) of the gain, times dt.
         assert np.allclose(s_new, expected, rtol=1e-9, atol=1e-12)

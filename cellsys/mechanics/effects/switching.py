@@ -111,7 +111,7 @@ class SwitchingElement(Element):
         self.internal = (
             Block(self.number, (n,), "1", "component", "internal"),
             Block(self.length, (n,), "um", "component", "internal"),
-            Block(self.partner, (n,), "1", "component", "internal"),
+            Block(self.partner, (n,), "1", "component", "label"),
         )
         self.surface = disc.surface.astype(np.int64)
         self.rim = 0.9 * disc.radius
