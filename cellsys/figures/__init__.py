@@ -9,7 +9,12 @@ __getattr__, __dir__, __all__ = _lazy.attach(
     __name__,
     submod_attrs={
         "bondgraph": ["bond_graph"],
-        "crawler": ["crawler_predictions", "crawler_run", "error_against_amplitude"],
+        "crawler": [
+            "chain_displacement",
+            "crawler_predictions",
+            "crawler_run",
+            "error_against_amplitude",
+        ],
         "loop": ["headings", "linearisation"],
         "norms": ["system_norm"],
         "reduction": [

@@ -13,7 +13,11 @@ def crawler_run(run: Any, ax: Any = None) -> Any:
     """Lead and trail of every cell of a `CrawlRun`, with a tick at every switch."""
     if ax is None:
         ax = plt.subplots(layout="constrained")[1]
-    ax.set(xlabel="time (s)", ylabel="position (um)", title=f"{run.outcome}: {run.reason}"[:80])
+    ax.set(
+        xlabel="time (s)",
+        ylabel="position (um)",
+        title=f"{run.outcome}: {run.reason}".rstrip(": ")[:80],
+    )
     if run.trajectory is None:
         return ax
     for k in range(len(run.system.cells)):
@@ -30,6 +34,23 @@ def crawler_run(run: Any, ax: Any = None) -> Any:
         ax.plot(times, np.full(len(times), k), "|", color=f"C{k}", alpha=0.5)
     ax.legend(fontsize="small")
     ax.grid(alpha=0.3)
+    return ax
+
+
+def chain_displacement(run: Any, ax: Any = None) -> Any:
+    """Displacement of every node of a `CrawlRun`'s chain against time, um."""
+    if ax is None:
+        ax = plt.subplots(layout="constrained")[1]
+    ax.set(xlabel="time (s)", ylabel="node at rest (um)")
+    if run.trajectory is None:
+        return ax
+    u, t = run.trajectory.block("chain.displacement"), run.trajectory.t
+    every = -(-len(t) // 2000)  # more columns than pixels only take time
+    top = float(np.abs(u).max()) or 1.0
+    drawn = ax.pcolormesh(
+        t[::every], run.system.chain.rest, u[::every].T, cmap="RdBu_r", vmin=-top, vmax=top
+    )
+    ax.figure.colorbar(drawn, ax=ax, label="displacement (um)")
     return ax
 
 

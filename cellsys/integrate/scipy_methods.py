@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -100,3 +101,9 @@ class LSODA(_Method):
     """
 
     _solver: ClassVar[Any] = integrate.LSODA
+
+    def solve(self, system: OdeSystem, t: np.ndarray, x0: np.ndarray) -> Solution:
+        with warnings.catch_warnings():
+            # What it warns of it also fails with, and the IntegrationError says so once.
+            warnings.filterwarnings("ignore", message="lsoda:", category=UserWarning)
+            return super().solve(system, t, x0)

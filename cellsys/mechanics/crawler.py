@@ -153,7 +153,7 @@ class CrawlerSystem(OdeSystem):
     """
 
     def __init__(self, cells: tuple[Crawler, ...], chain: Chain) -> None:
-        _check_places(cells, chain)
+        check_places(cells, chain)
         K, N = len(cells), chain.nodes
         names = [f"cell{k + 1}" for k in range(K)]
         states = Layout(
@@ -244,7 +244,8 @@ class CrawlerSystem(OdeSystem):
         return self.chain.loads(u)
 
 
-def _check_places(cells: tuple[Crawler, ...], chain: Chain) -> None:
+def check_places(cells: tuple[Crawler, ...], chain: Chain) -> None:
+    """Raise `SceneError` for no cell, nodes outside the chain, or cells on each other's nodes."""
     if not cells:
         raise SceneError("a chain needs at least one cell")
     spans = []

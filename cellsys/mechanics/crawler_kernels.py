@@ -18,14 +18,18 @@ ETA = 10  # auxiliaries of one cell
 
 @compiled
 def attached(x, K, N):
-    """Indices of walls and attached nodes in order, and their displacement slots."""
+    """Indices of walls and attached nodes in order, and their displacement slots.
+
+    Held nodes are states, so an integrator that differences the rates (Radau) moves them too, by
+    more than a node in time; kept on the chain they make a column that nothing depends on.
+    """
     index = np.empty(2 * K + 2, np.int64)
     who = np.empty(2 * K + 2, np.int64)
     index[0], who[0] = 0, -1
     n = 1
     for c in range(K):
         for end in range(2):
-            i = int(x[8 * K + N + 2 * c + end])
+            i = min(max(int(x[8 * K + N + 2 * c + end]), 1), N)
             j = n
             while index[j - 1] > i:
                 index[j], who[j] = index[j - 1], who[j - 1]
@@ -56,7 +60,7 @@ def auxiliaries(x, cells, chain, N, eta):
     for j in range(1, 2 * K + 2):
         u0 = position(x, who[j - 1], index[j - 1], spacing)
         u1 = position(x, who[j], index[j], spacing)
-        strain = (u1 - u0) / ((index[j] - index[j - 1]) * spacing)
+        strain = (u1 - u0) / (max(index[j] - index[j - 1], 1) * spacing)
         tension = stiffness * (strain + stiffening * strain * strain * strain)
         if j > 1:
             close(x, cells, drag, who[j - 1], left, tension, eta, velocity, j - 1)

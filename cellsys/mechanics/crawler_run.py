@@ -78,10 +78,13 @@ def crawl(
         run = simulate(system, integrator, t, x0)
     except IntegrationError as error:
         return CrawlRun(system, None, "stopped", str(error), 0)
+    return judge(system, run)
+
+
+def judge(system: CrawlerSystem, run: Trajectory) -> CrawlRun:
+    """Name the outcome of a crawler's trajectory: finished, or stalled and why."""
     reason = _stall(system, run)
-    return CrawlRun(
-        system, run, "stalled" if reason else "finished", reason, chatter(run.events)
-    )
+    return CrawlRun(system, run, "stalled" if reason else "finished", reason, chatter(run.events))
 
 
 def chatter(events: tuple[Event, ...]) -> int:

@@ -1,12 +1,14 @@
 """Scene files: schema, effect registry, build(scene) -> full-order system, ensembles."""
 
 from cellsys.scene.build import build
+from cellsys.scene.chain import ChainScene
 from cellsys.scene.ensemble import run_ensemble, run_scene, training_scenes
 from cellsys.scene.parse import load_scene, scene_schema
 from cellsys.scene.scene import CellScene, MatrixScene, Scene, Training
 
 __all__ = [
     "CellScene",
+    "ChainScene",
     "MatrixScene",
     "Scene",
     "Training",

@@ -8,24 +8,30 @@ import numpy as np
 
 from cellsys.errors import BudgetError
 from cellsys.integrate.simulate import available_memory
+from cellsys.mechanics.crawler import CrawlerSystem
 from cellsys.mechanics.effects.protocol import CellBody
 from cellsys.mechanics.geometry.disc import DENSITY, Disc, disc
 from cellsys.mechanics.geometry.membrane import sphere
 from cellsys.mechanics.spreading import CellSpec, SpreadingSystem, build_spreading
+from cellsys.scene.chain import ChainScene, build_chain
 from cellsys.scene.scene import MatrixScene, Scene
 
 START_GAP = 0.05  # um between the lowest point of a cell and the top of the matrix
 _BYTES_PER_NODE = 30_000.0  # fibres, assembly, factors and one state, measured at 2000 nodes
 
 
-def build(scene: Scene) -> SpreadingSystem:
+def build(scene: Scene) -> SpreadingSystem | CrawlerSystem:
     """The full-order system of a scene: only the effects that the scene names.
+
+    A `SpreadingSystem`, or the `CrawlerSystem` of a scene on a chain.
 
     Raises
     ------
     BudgetError
         When the matrix alone would not fit into memory.
     """
+    if isinstance(scene.matrix, ChainScene):
+        return build_chain(scene.matrix, scene.cells)
     matrix = _matrix(scene.matrix, scene.seed) if scene.matrix is not None else None
     matrix_effects = {n: e for n, e in scene.effects.items() if e.acts_on == "matrix"}
     cells = []

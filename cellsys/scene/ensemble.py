@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import signal
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from cellsys.errors import FileFormatError
+from cellsys.errors import FileFormatError, SceneError
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.simulate import record_shapes, simulate, trajectory_of
 from cellsys.mechanics.commands import Commands, History
-from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.scene.build import build
+from cellsys.scene.chain import METHOD, ChainScene
 from cellsys.scene.parse import scene_from_plain
 from cellsys.scene.scene import Scene
 from cellsys.store.runs import RunReader, RunWriter
-from cellsys.system import Event
+from cellsys.system import Event, OdeSystem
 from cellsys.trajectory import Trajectory
 
 
@@ -29,7 +31,17 @@ def training_scenes(scene: Scene) -> tuple[list[Scene], list[Scene]]:
     Training: `runs` constant headings, evenly spread. Held out: `held_out` headings half-way
     between trained ones. The polarity law is replaced by the command, the sensor stays, so that
     the direction it reports is recorded.
+
+    Raises
+    ------
+    SceneError
+        A scene on a chain: crawlers take no commands.
     """
+    if isinstance(scene.matrix, ChainScene):
+        raise SceneError(
+            "a scene with matrix.kind = 'chain' has no headings to train on; vary its cells with "
+            "dataclasses.replace and use run_ensemble"
+        )
     plan = scene.training
     spacing = 2.0 * np.pi / plan.runs
     trained = [spacing * k for k in range(plan.runs)]
@@ -56,7 +68,10 @@ def training_scenes(scene: Scene) -> tuple[list[Scene], list[Scene]]:
 def run_scene(
     scene: Scene, folder: str | Path | None = None, progress: Callable[[float], None] | None = None
 ) -> Trajectory:
-    """Simulate a scene at its own step; with a folder, cached there and resumable.
+    """Simulate a scene; with a folder, cached there and resumable.
+
+    A disc is marched at the scene's own step; on a chain LSODA finds the switches (rtol 1e-10,
+    atol 1e-12; a run takes seconds and is started again when it was interrupted).
 
     Parameters
     ----------
@@ -67,10 +82,12 @@ def run_scene(
         complete run is read back, a partial one is continued, bit for bit.
     """
     system = build(scene)
+    chain = isinstance(scene.matrix, ChainScene)
+    method = METHOD if chain else LinearlyImplicit(step=scene.step)
     if folder is None:
         return simulate(
             system,
-            LinearlyImplicit(step=scene.step),
+            method,
             scene.times,
             seed=scene.seed,
             progress=progress,
@@ -85,19 +102,24 @@ def run_scene(
         )
         run = simulate(
             system,
-            LinearlyImplicit(step=scene.step),
+            method,
             scene.times,
             seed=scene.seed,
             sink=writer,
             progress=progress,
         )
-        writer.finish({"statistics": dict(run.statistics), "events": [list(e) for e in run.events]})
+        writer.finish(
+            {"statistics": _numbers(run.statistics), "events": [list(e) for e in run.events]}
+        )
     return _trajectory(RunReader(target), system, scene.times, scene.name)
 
 
-def _trajectory(
-    reader: RunReader, system: SpreadingSystem, t: np.ndarray, label: str
-) -> Trajectory:
+def _numbers(statistics: Mapping[str, Any]) -> dict[str, Any]:
+    """Without what JSON has no number for: the shortest interval of a run with one switch."""
+    return {k: v for k, v in statistics.items() if not isinstance(v, float) or np.isfinite(v)}
+
+
+def _trajectory(reader: RunReader, system: OdeSystem, t: np.ndarray, label: str) -> Trajectory:
     return trajectory_of(
         system,
         t,
@@ -122,6 +144,11 @@ def read_run(folder: str | Path) -> Trajectory:
     except (KeyError, TypeError, ValueError) as error:
         raise FileFormatError(f"{str(folder)!r} does not hold a run of a scene: {error}") from error
     return _trajectory(reader, build(scene), scene.times, scene.name)
+
+
+def _die_on_interrupt() -> None:
+    """Ctrl-C ends a worker at once; what it wrote can be resumed."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _run_into(scene: Scene, folder: str) -> None:
@@ -160,7 +187,10 @@ def run_ensemble(
             if progress is not None:
                 progress(done, len(pending))
     else:
-        with ProcessPoolExecutor(min(workers, len(missing)), get_context("spawn")) as pool:
+        pool = ProcessPoolExecutor(
+            min(workers, len(missing)), get_context("spawn"), initializer=_die_on_interrupt
+        )
+        try:
             waiting = {pool.submit(_run_into, s, str(folder)) for s in missing}
             while waiting:
                 finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
@@ -169,4 +199,7 @@ def run_ensemble(
                     done += 1
                 if progress is not None:
                     progress(done, len(pending))
+        finally:
+            # After a failure or an interrupt the runs not yet begun are not begun.
+            pool.shutdown(cancel_futures=True)
     return [run_scene(s, folder) for s in scenes]

@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 
 from cellsys.mechanics.commands import History
+from cellsys.mechanics.crawler import CrawlerSystem
 from cellsys.scene.build import build
 from cellsys.scene.parse import load_scene
 from cellsys.scene.registry import EFFECTS
@@ -35,9 +36,22 @@ def effect_table() -> list[dict[str, str]]:
 
 
 def scene_table(path: Path) -> list[dict[str, int | str]]:
-    """One row per element of a scene: states, auxiliaries (columns of W_eta), input forces."""
+    """One row per element of a scene: states, auxiliaries (columns of W_eta), input forces.
+
+    On a chain: one row per cell and one for the chain.
+    """
     system = build(load_scene(path))
     rows: list[dict[str, int | str]] = []
+    if isinstance(system, CrawlerSystem):
+        for name in (*(f"cell{k + 1}" for k in range(len(system.cells))), "chain"):
+            states, auxiliaries = (
+                sum(b.size for b in layout if b.name.startswith(f"{name}."))
+                for layout in (system.states, system.auxiliaries)
+            )
+            rows.append(
+                {"element": name, "states": states, "auxiliaries": auxiliaries, "input forces": 0}
+            )
+        return rows
     for element in system.elements:
         blocks = [p.block for p in element.ports] + [f"{b.name}.rate" for b in element.internal]
         rows.append(

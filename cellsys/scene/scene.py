@@ -11,7 +11,9 @@ import numpy as np
 
 from cellsys.errors import SceneError
 from cellsys.mechanics.commands import Commands, History
+from cellsys.mechanics.crawler import Crawler
 from cellsys.mechanics.effects.protocol import Effect
+from cellsys.scene.chain import ChainScene, check_chain
 from cellsys.store.hashing import fingerprint
 
 _MOST_SAMPLES = 1e7  # their times alone are 80 MB, their states of any scene beyond every memory
@@ -77,6 +79,9 @@ class Training:
 class Scene:
     """A scene: matrix, cells, the effects that act, commands, and how long.
 
+    On a chain (`ChainScene`) the cells are `Crawler` objects, `effects` and `commands` are empty,
+    and `training`, `seed` and `step` are not used.
+
     Built by `load_scene` or `Scene.parse`; change it with `dataclasses.replace`. Times in s,
     lengths in um, angles in rad. `cells` may be empty (a passive matrix) and `matrix` None (a
     free membrane), not both.
@@ -92,8 +97,8 @@ class Scene:
     duration: float
     sample: float
     effects: Mapping[str, Effect]
-    cells: tuple[CellScene, ...] = ()
-    matrix: MatrixScene | None = None
+    cells: tuple[CellScene, ...] | tuple[Crawler, ...] = ()
+    matrix: MatrixScene | ChainScene | None = None
     commands: Commands = field(default_factory=Commands)
     training: Training = field(default_factory=Training)
     seed: int = 0
@@ -120,6 +125,11 @@ class Scene:
                 f"duration / sample = {self.duration / self.sample:.3g} samples, more than "
                 f"{_MOST_SAMPLES:.0e}; sample less often or shorten the run"
             )
+        if isinstance(self.matrix, ChainScene):
+            check_chain(self.matrix, self.cells, self.effects, self.commands)
+            return
+        if any(isinstance(cell, Crawler) for cell in self.cells):
+            raise SceneError("a Crawler lives on a chain; its matrix must be a ChainScene")
         if not self.cells and self.matrix is None:
             raise SceneError("a scene needs [[cells]] or a [matrix]")
         if "drag" not in self.effects:

@@ -1,0 +1,189 @@
+"""What a scene file may hold: one pydantic table per TOML table, quantities with their units."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, create_model
+
+from cellsys.mechanics.commands import History
+from cellsys.mechanics.effects.protocol import Effect
+from cellsys.scene.registry import EFFECTS
+from cellsys.units import quantity
+
+
+class Table(BaseModel):
+    """A TOML table whose unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def _converter(unit: str) -> Callable[[Any], float]:
+    return lambda value: quantity(value, unit)
+
+
+def amount(unit: str) -> Any:
+    """Field type of a quantity: a string with a unit like `unit`, a float in internal units."""
+    schema = {"type": "string", "description": f"number with unit, such as '1 {unit}'"}
+    return Annotated[
+        float,
+        BeforeValidator(_converter(unit)),
+        WithJsonSchema({"type": ["string", "number"]} if unit == "1" else schema),
+    ]
+
+
+_Length, Time, Angle, _Number = amount("um"), amount("s"), amount("rad"), amount("1")
+_Modulus, _PerLength = amount("pN/um^2"), amount("1/um")
+# bool is an int to Python; a count must not be one.
+Count = Annotated[int, Field(strict=True)]
+
+
+def _history(unit: str, name: str) -> type[BaseModel]:
+    return create_model(
+        name,
+        __base__=Table,
+        times=(list[Time], Field(min_length=1)),
+        values=(list[amount(unit)], Field(min_length=1)),
+    )
+
+
+_AngleHistory = _history("rad", "HeadingHistory")
+_FactorHistory = _history("1", "FactorHistory")
+
+
+class CommandsTable(Table):
+    """Prescribed heading and amplitude."""
+
+    heading: _AngleHistory | None = None  # type: ignore[valid-type]
+    amplitude: _FactorHistory | None = None  # type: ignore[valid-type]
+
+
+def _effect_table(effect: type[Effect]) -> type[BaseModel]:
+    fields: dict[str, Any] = {}
+    for item in dataclasses.fields(effect):
+        if isinstance(item.default, History):
+            fields[item.name] = (_FactorHistory | None, None)
+            continue
+        meta = item.metadata
+        kind = Literal[meta["choices"]] if meta["choices"] else amount(meta["unit"])
+        fields[item.name] = (
+            kind | None,
+            Field(default=None, description=f"{meta['about']} [{meta['unit']}] ({meta['source']})"),
+        )
+    return create_model(f"{effect.__name__}Table", __base__=Table, **fields)
+
+
+EffectsTable = create_model(
+    "EffectsTable",
+    __base__=Table,
+    **{name: (_effect_table(effect) | None, None) for name, effect in EFFECTS.items()},
+)
+
+
+class _InclusionTable(Table):
+    center: tuple[_Length, _Length]
+    radius: _Length
+    factor: _Number
+
+
+class _GradientTable(Table):
+    direction: Angle
+    per_um: _Number
+
+
+def _known_kind(value: Any) -> Any:
+    if value != "disc":
+        raise ValueError("must be 'disc' or 'chain'")
+    return value
+
+
+class DiscTable(Table):
+    """[matrix] of kind disc."""
+
+    kind: Annotated[Literal["disc"], BeforeValidator(_known_kind)] = "disc"
+    diameter: _Length = 60.0
+    thickness: _Length = 2.0
+    modulus: _Modulus = 5000.0
+    nodes: Count | None = None
+    seed: Count | None = None
+    inclusion: _InclusionTable | None = None
+    gradient: _GradientTable | None = None
+
+
+class _CellTable(Table):
+    position: tuple[_Length, _Length] = (0.0, 0.0)
+    polarity: Angle = 0.0
+    radius: _Length = 8.0
+    effects: EffectsTable | None = None  # type: ignore[valid-type]
+    commands: CommandsTable | None = None
+
+
+class _TrainingTable(Table):
+    runs: Count = 8
+    held_out: Count = 2
+    duration: Time = 1500.0
+    sample: Time = 5.0
+
+
+class DiscSceneTable(Table):
+    """A scene with a disc, or without a matrix."""
+
+    name: Annotated[str, Field(min_length=1)]
+    duration: Time
+    sample: Time = 5.0
+    step: Time = 0.5
+    seed: Count = 0
+    matrix: DiscTable | None = None
+    cells: list[_CellTable] = []
+    effects: EffectsTable = EffectsTable()  # type: ignore[valid-type]
+    commands: CommandsTable = CommandsTable()
+    training: _TrainingTable = _TrainingTable()
+
+
+def _known_keys(location: tuple, scene: type[Table]) -> list[str]:
+    """Keys allowed in the table at `location` of a scene file."""
+    model: Any = scene
+    for part in location:
+        if isinstance(part, int):
+            continue
+        field = model.model_fields.get(part) if hasattr(model, "model_fields") else None
+        if field is None:
+            return []
+        model = next((m for m in _models(field.annotation)), None)
+        if model is None:
+            return []
+    return list(model.model_fields)
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for a in getattr(annotation, "__args__", ()) for m in _models(a)]
+
+
+def explain(item: Mapping[str, Any], kinds: Mapping[str, type[Table]], kind: str) -> str:
+    """One mistake of a scene file in words; `kinds` are the scene tables by matrix.kind."""
+    location = tuple(item["loc"])
+    path = ""
+    for part in location:
+        path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else str(part)
+    if item["type"] == "extra_forbidden":
+        known = _known_keys(location[:-1], kinds[kind])
+        near = difflib.get_close_matches(str(location[-1]), known, 1, 0.5)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+        for other, table in kinds.items():
+            if other != kind and location[-1] in _known_keys(location[:-1], table):
+                hint = f"it belongs to matrix.kind = {other!r}, not to {kind!r}; {hint}"
+        return f"unknown key {path!r}; {hint}"
+    if item["type"] == "missing":
+        return f"{path} is missing"
+    message = item["msg"].removeprefix("Value error, ").removeprefix("value ")
+    value = item.get("input")
+    shown = repr(value) if len(repr(value)) < 60 else type(value).__name__
+    if isinstance(value, float) and not math.isfinite(value):
+        shown = f"{value}"
+    return f"{path}: {message} (got {shown})"
