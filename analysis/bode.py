@@ -20,7 +20,7 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
     order = 10
     if quick:
         plan = dataclasses.replace(scene.training, runs=4, held_out=1, duration=100.0)
-        scene, order = dataclasses.replace(scene, training=plan), 5
+        scene, order = dataclasses.replace(scene, training=plan), 3
     with tempfile.TemporaryDirectory() as scratch:
         train, held_out = cs.training_scenes(scene)
         ran = cs.run_ensemble(train + held_out, runs or scratch)

@@ -20,7 +20,7 @@ def main(quick: bool = False, out: str | None = None) -> cs.ClosedLoop:
     with tempfile.TemporaryDirectory() as scratch:
         train, _ = cs.training_scenes(scene)
         data = cs.snapshots(cs.run_ensemble(train, out or scratch))
-        model = cs.reduce(data, order=5 if quick else 10, method=cs.LeastSquares())
+        model = cs.reduce(data, order=3 if quick else 10, method=cs.LeastSquares())
     loop = cs.closed_loop(model, controller=cs.PolarityLaw(kappa=1 / 60))
     t = np.linspace(0.0, scene.training.duration, 61)
     run = loop.simulate(t, cs.CVODES(rtol=1e-8, atol=1e-8), p0=[0.0, 1.0, 0.0])

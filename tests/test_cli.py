@@ -277,7 +277,6 @@ def test_reduce_refuses(call, run_folder, tmp_path):
         (("absent.csv", "--order", 2, *least), "absent.csv"),
         (("empty", "--order", 2), "not a complete cellsys run"),
         (("a.csv", run_folder, "--order", 2, *least), "run"),
-        (("a.csv", "--order", 2, *least, "-o", "empty"), "empty") if False else
         (("a.txt", "--order", 2, *least), "a.txt"),
         (("a.csv", "--order", 2, *least, "--dt", 3), "sampled every"),
         (("a.csv", "--order", 2, *least, "--dt", "nan"), "dt"),
@@ -347,7 +346,8 @@ def test_exit_codes_of_a_real_process(tmp_path):
     def run(*arguments):
         return subprocess.run(
             [sys.executable, "-m", "cellsys", *arguments],
-            cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=120, check=False,
+            cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=120,
+            check=False,
         )  # fmt: skip
 
     (tmp_path / "s.toml").write_text(tiny(replace={"volume = {}": "volum = {}"}))
