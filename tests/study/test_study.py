@@ -175,6 +175,7 @@ def test_loop_errors_are_those_of_the_runs(done):
     assert np.allclose(result.reduced.p[0, 0], result.run.p[0, 0])
 
 
+@pytest.mark.slow
 def test_without_polarity_there_is_no_loop_and_the_reason_is_written(tmp_path):
     text = tiny(replace={'polarity = { kappa = "1/60 1/s" }': ""})
     result = cs.study(scene(text), tmp_path / "out", order=3, workers=1)
