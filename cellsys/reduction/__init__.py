@@ -1,7 +1,8 @@
 """Reduction: snapshots, basis, reductors, the latent model and its card."""
 
+from cellsys.reduction.assessment import assess
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
-from cellsys.reduction.card import Card, assess
+from cellsys.reduction.card import Card
 from cellsys.reduction.certainty import PoleCertainty, pole_certainty
 from cellsys.reduction.least_squares import LeastSquares
 from cellsys.reduction.model import LatentModel

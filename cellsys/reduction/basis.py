@@ -39,7 +39,7 @@ class RandomisedSVD:
     """
 
     oversample: int = 20
-    power: int = 1
+    power: int = 2
     seed: int = 0
 
     def __post_init__(self) -> None:

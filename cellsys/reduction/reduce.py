@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from cellsys.errors import ParameterError
+from cellsys.reduction.assessment import Encoded, assess, encode_all, encode_start
 from cellsys.reduction.basis import Basis, fit_basis
-from cellsys.reduction.card import Encoded, assess, encode_start
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.pcr import PCR, LatentParts
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
@@ -63,7 +63,7 @@ def reduce_orders(
     test: Snapshots | None = None,
     basis: Basis | None = None,
     parts: LatentParts | None = None,
-    encoded: Encoded | None = None,
+    encoded: tuple[Encoded, Encoded | None] | None = None,
 ) -> Iterator[LatentModel]:
     """Models of every method and order in one basis; the data are projected only once.
 
@@ -72,6 +72,7 @@ def reduce_orders(
     """
     basis = fit_basis(data, max(orders)) if basis is None else basis
     parts = LatentParts.of(data, basis) if parts is None else parts
+    sensors: dict[int, StiffnessSensor | None] = {}
     for method in methods:
         for order in orders:
             model = method.fit(data, order, basis, parts)
@@ -83,25 +84,33 @@ def reduce_orders(
                     scale=basis.scale,
                     n_states=data.states.size,
                 )
-                encoded = Encoded.of(large, data, test)
-            yield complete(model, data, test, encoded)
+                encoded = encode_all(large, data, test)
+            # The sensor reads the basis, not the dynamics: one an order serves all methods.
+            done = complete(model, data, test, encoded, sensors.get(order))
+            sensors[order] = done.sensor
+            yield done
 
 
 def complete(
     model: LatentModel,
     data: Snapshots,
     test: Snapshots | None = None,
-    encoded: Encoded | None = None,
+    encoded: tuple[Encoded, Encoded | None] | None = None,
+    sensor: StiffnessSensor | None = None,
 ) -> LatentModel:
-    """The model with its start, its sensor and its card."""
-    encoded = Encoded.of(model, data, test) if encoded is None else encoded
+    """The model with its start, its sensor (fitted unless given) and its card."""
+    encoded = encode_all(model, data, test) if encoded is None else encoded
     start = np.mean([encode_start(model, run) for run in data.runs], axis=0)
-    model = dataclasses.replace(model, z_start=start, sensor=sensor_of(model, data, test, encoded))
+    sensor = sensor_of(model, data, test, encoded) if sensor is None else sensor
+    model = dataclasses.replace(model, z_start=start, sensor=sensor)
     return dataclasses.replace(model, card=assess(model, data, test, encoded))
 
 
 def sensor_of(
-    model: LatentModel, data: Snapshots, test: Snapshots | None, encoded: Encoded
+    model: LatentModel,
+    data: Snapshots,
+    test: Snapshots | None,
+    encoded: tuple[Encoded, Encoded | None],
 ) -> StiffnessSensor | None:
     """The sensor of a one-cell model whose runs recorded a sensed direction; else None."""
     if any(run.d is None or run.d.shape[1] != 1 for run in data.runs):
@@ -114,8 +123,8 @@ def sensor_of(
             [np.asarray(run.d)[ks, 0] for run, ks in zip(of.runs, kept, strict=True)],
         )
 
-    held = samples(test, encoded.test) if test is not None else (None, None)
-    return fit_sensor(*samples(data, encoded.training), *held)
+    held = samples(test, encoded[1].runs) if test is not None else (None, None)
+    return fit_sensor(*samples(data, encoded[0].runs), *held)
 
 
 def _order_for(data: Snapshots, tol: float, svd: Any) -> tuple[int, Basis]:

@@ -114,20 +114,13 @@ def fit_sensor(
         if not (np.all(np.isfinite(z)) and np.all(np.isfinite(d))):
             raise DataError(f"run {i} of the sensor's samples holds NaN or inf")
 
-    def score(ridge: float) -> float:
-        if len(latent) == 1:
-            return angle_error(
-                _predict(_ridge(latent, directions, ridge), latent[0]), directions[0]
-            )
-        total = 0.0
-        for i in range(len(latent)):
-            others = [k for k in range(len(latent)) if k != i]
-            K = _ridge([latent[k] for k in others], [directions[k] for k in others], ridge)
-            total += angle_error(_predict(K, latent[i]), directions[i])
-        return total
-
-    best = min(ridges, key=score)
-    K_d = _ridge(latent, directions, best)
+    total = np.zeros(len(ridges))
+    for i in range(len(latent)):
+        others = [k for k in range(len(latent)) if k != i] or [i]
+        tried = _ridges([latent[k] for k in others], [directions[k] for k in others], ridges)
+        total += [angle_error(_predict(K, latent[i]), directions[i]) for K in tried]
+    best = ridges[int(np.argmin(total))]
+    K_d = _ridges(latent, directions, (best,))[0]
     mean = np.concatenate(directions).mean(axis=0)
     shown_z, shown_d = (
         (test_latent, test_directions) if test_latent and test_directions else (latent, directions)
@@ -146,14 +139,25 @@ def _predict(K_d: np.ndarray, z: np.ndarray) -> np.ndarray:
     return K_d[:, 0] + z @ K_d[:, 1:].T
 
 
-def _ridge(latent: list[np.ndarray], directions: list[np.ndarray], ridge: float) -> np.ndarray:
-    """K_d (3, 1 + m): standardised regressors, penalty ridge * samples, intercept free."""
+def _ridges(
+    latent: list[np.ndarray], directions: list[np.ndarray], ridges: tuple[float, ...]
+) -> list[np.ndarray]:
+    """K_d (3, 1 + m) for each penalty ridge * samples: standardised regressors, intercept free.
+
+    One singular value decomposition X = U S V^T serves all: K = V S (S^2 + ridge n)^-1 U^T D.
+    """
     Z, D = np.concatenate(latent), np.concatenate(directions)
     center, spread = Z.mean(axis=0), Z.std(axis=0)
     spread[spread == 0] = 1.0
     X, mean = (Z - center) / spread, D.mean(axis=0)
-    m = X.shape[1]
-    stacked = np.vstack([X, np.sqrt(ridge * len(X)) * np.eye(m)])
-    K = sla.lstsq(stacked, np.vstack([D - mean, np.zeros((m, 3))]), cond=1e-13)[0]
-    slope = (K / spread[:, None]).T
-    return np.column_stack([mean - slope @ center, slope])
+    U, s, Vt = sla.svd(X, full_matrices=False)
+    seen = U.T @ (D - mean)
+    out = []
+    for ridge in ridges:
+        # A ridge of 0 leaves out what the samples do not determine.
+        strength = s**2 + ridge * len(X)
+        known = strength > (1e-13 * s.max(initial=0.0)) ** 2
+        weight = np.divide(s, strength, out=np.zeros_like(s), where=known)
+        slope = ((Vt.T @ (weight[:, None] * seen)) / spread[:, None]).T
+        out.append(np.column_stack([mean - slope @ center, slope]))
+    return out

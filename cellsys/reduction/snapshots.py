@@ -232,11 +232,12 @@ class Snapshots:
             piece = layout.slice(block.name)
             owner = block.name.split(".")[0] if block.role != "field" else "field"
             if block.name == "step_residual":
-                # Split like the states whose rate it is.
+                # Split like the states whose rate it is, and in one group with those rates: what
+                # is rounding beside them must not be scaled up to a group of its own.
                 for state in self.states:
                     inner = self.states.slice(state.name)
                     who = state.name.split(".")[0] if state.role != "field" else "field"
-                    kind = "rate" if state.kind == "position" else f"rate {state.name}"
+                    kind = "rate" if state.kind == "position" else f"{state.name}.rate"
                     owners.setdefault((who, kind), []).append(
                         np.arange(piece.start + inner.start, piece.start + inner.stop)
                     )

@@ -9,8 +9,8 @@ import numpy as np
 
 from cellsys.errors import FileFormatError
 from cellsys.reduction import Basis, Snapshots
+from cellsys.reduction.assessment import Encoded, encode_all, mean_motion
 from cellsys.reduction.basis import fit_basis
-from cellsys.reduction.card import Encoded, mean_motion
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.pcr import LatentParts
 from cellsys.store import fingerprint, load_archive, save_archive
@@ -24,7 +24,7 @@ class Coordinates(NamedTuple):
 
     basis: Basis
     parts: LatentParts
-    encoded: Encoded
+    encoded: tuple[Encoded, Encoded | None]
 
 
 def learn_coordinates(data: Snapshots, test: Snapshots, order: int, path: Path) -> Coordinates:
@@ -55,7 +55,7 @@ def learn_coordinates(data: Snapshots, test: Snapshots, order: int, path: Path) 
         scale=basis.scale,
         n_states=data.states.size,
     )
-    encoded = Encoded.of(large, data, test)
+    encoded = encode_all(large, data, test)
     arrays = {
         "V": basis.V,
         "singular_values": basis.singular_values,
@@ -66,8 +66,8 @@ def learn_coordinates(data: Snapshots, test: Snapshots, order: int, path: Path) 
         "eta_now": parts.eta_now,
         "eta_next": parts.eta_next,
     }
-    arrays |= {f"training {i}": z for i, z in enumerate(encoded.training)}
-    arrays |= {f"test {i}": z for i, z in enumerate(encoded.test)}
+    arrays |= {f"training {i}": z for i, z in enumerate(encoded[0].runs)}
+    arrays |= {f"test {i}": z for i, z in enumerate(encoded[1].runs)}
     save_archive(
         path, _KIND, 1, arrays, {"key": key, "total": basis.total, "dropped": basis.dropped}
     )
@@ -90,4 +90,5 @@ def _unpack(arrays: dict, meta: dict, data: Snapshots) -> Coordinates:
     )
     training = [arrays[f"training {i}"] for i in range(len(data.runs))]
     test = [v for k, v in arrays.items() if k.startswith("test ")]
-    return Coordinates(basis, parts, Encoded(training, test, mean_motion(data)))
+    motion = mean_motion(data)
+    return Coordinates(basis, parts, (Encoded(training, motion), Encoded(test, motion)))

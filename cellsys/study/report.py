@@ -121,6 +121,7 @@ def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
         )
         + ".</p>",
         f"<h2>Poles of the reduced model</h2><p>{verdict}</p>",
+        f"<p>{html.escape(summary['why_lower_order'])}</p>" if summary["why_lower_order"] else "",
         _image(figures["pole_map"], "pole maps"),
         "<p class='note'>Circles: how far each pole moves when one training run is left out. "
         f"Stability at working precision: {html.escape(summary['stability']['verdict'])}"

@@ -25,6 +25,7 @@ from cellsys.reduction import (
     pole_certainty,
     snapshots,
 )
+from cellsys.reduction.assessment import encode_start
 from cellsys.reduction.basis import check_order
 from cellsys.response import Margins, margins, stability
 from cellsys.scene import ChainScene, Scene, build, load_scene, run_ensemble, training_scenes
@@ -82,6 +83,8 @@ class StudyResult:
         lines = [str(self.run), ""]
         lines += [f"  {k.replace('_', ' '):34s} {v:.3g}" for k, v in self.magnitudes.items()]
         lines += ["", f"poles of the reduced model (PCR, m = {self.model.order}), 1/s:"]
+        if self.summary["why_lower_order"]:
+            lines.append(f"  ({self.summary['why_lower_order']})")
         for k in np.argsort(-self.certainty.poles.real):
             pole, spread = self.certainty.poles[k], self.certainty.spread[k]
             lines.append(f"  {pole.real: .3e} {pole.imag:+.3e}j   +- {spread:.1e}")
@@ -171,8 +174,8 @@ def study(
         full_s,
         lambda share: say("reduced models", share),
     )
-    model = models["PCR", order]
-    certainty = pole_certainty(data, PCR(), order, learned.basis, learned.parts)
+    model, why_lower = _plant(models, order)
+    certainty = pole_certainty(data, PCR(), model.order, learned.basis, learned.parts)
     say("loop", 0.0)
     loop, reduced, linear, loop_margins, why = _loop(scene, model, main)
     say("loop", 1.0)
@@ -196,6 +199,7 @@ def study(
         "loop": _loop_table(model, main, reduced, linear, why),
         "orders": [dataclasses.asdict(row) for row in sweep.rows],
         "full_order_s": full_s,
+        "why_lower_order": why_lower,
         "trust": trust,
     }
     result = StudyResult(
@@ -252,6 +256,21 @@ def plant_of(model: LatentModel) -> Any:
         return model.plant(discrete=True)
 
 
+def _plant(
+    models: Mapping[tuple[str, int], LatentModel], order: int
+) -> tuple[LatentModel, str | None]:
+    """PCR at `order`, or at the next lower order that has a continuous form, and why."""
+    reason = None
+    for m in sorted((m for name, m in models if name == "PCR" and m <= order), reverse=True):
+        try:
+            models["PCR", m].continuous_matrices()
+        except ParameterError as error:
+            reason = reason or f"order {m} has {error}"
+            continue
+        return models["PCR", m], reason and f"{reason}; shown is order {m}"
+    return models["PCR", order], reason
+
+
 def _loop(
     scene: Scene, model: LatentModel, main: Trajectory
 ) -> tuple[ClosedLoop | None, Trajectory | None, Linearisation | None, Margins | None, str | None]:
@@ -262,7 +281,7 @@ def _loop(
         loop = closed_loop(
             model,
             controller=PolarityLaw(kappa=scene.effects["polarity"].kappa),
-            z0=model.encode(np.asarray(main.x[0])[: model.n_states], _start_eta(model, main)),
+            z0=encode_start(model, snapshots([main]).runs[0]),
             p0=np.asarray(main.p[0, 0]),
         )
         reduced = loop.simulate(np.asarray(main.t), CVODES(rtol=1e-8, atol=1e-8))
@@ -271,15 +290,6 @@ def _loop(
         return loop, reduced, linear, margins(loop.open_loop(linear)), None
     except CellsysError as error:
         return None, None, None, None, str(error)
-
-
-def _start_eta(model: LatentModel, run: Trajectory) -> np.ndarray:
-    """The run's instantaneous laws, in the order of the model's auxiliaries."""
-    parts = []
-    for block in model.auxiliaries:
-        piece = np.asarray(run.eta_start)[run.auxiliaries.slice(block.name)]
-        parts.append(piece[: block.size])
-    return np.concatenate(parts)
 
 
 def _margin_table(m: Margins) -> dict[str, Any]:

@@ -20,7 +20,8 @@ from cellsys.reduction import (
     pole_certainty,
     reduce,
 )
-from cellsys.reduction.card import encode_run, mean_motion, position_rows, verdict
+from cellsys.reduction.assessment import encode_run, mean_motion, position_rows
+from cellsys.reduction.card import verdict
 from tests.reduction.systems import linear_runs, one_step_data, stable_matrix, state_data
 
 NAMES = {"model", "floor", "nothing moves", "mean velocity", "mean motion", "mse"}
