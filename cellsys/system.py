@@ -263,6 +263,12 @@ class OdeSystem:
 
     @cached_property
     def _symbolic(self) -> SymbolicForm:
+        numeric = [n for n in ("eta", "u", "rhs") if _overrides(self, n)]
+        if numeric:
+            raise NotSymbolicError(
+                f"{type(self).__name__} computes {', '.join(numeric)} by compiled loops and has no "
+                "CasADi form; use a numeric integrator, or reduce it first"
+            )
         import casadi as ca
 
         t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
@@ -302,6 +308,11 @@ class OdeSystem:
     def observe(self, t: float, x: np.ndarray) -> dict[str, np.ndarray]:
         """Read-outs stored with each sample: ``p``, ``d`` (cells, 3), ``amplitude`` (cells,)."""
         return {}
+
+
+def _overrides(system: OdeSystem, name: str) -> bool:
+    """Whether a subclass replaced one of the methods that ``law`` and ``forcing`` feed."""
+    return getattr(type(system), name) is not getattr(OdeSystem, name)
 
 
 def _entries(value: Any) -> list:

@@ -163,3 +163,15 @@ def test_integration_error_survives_a_process_boundary():
     assert (back.time, back.state_norm, back.step) == (3.5, 1e9, 0.1)
     assert "t = 3.5 s" in str(error)
     assert isinstance(error, RuntimeError)
+
+
+def test_a_system_of_compiled_loops_has_no_symbolic_form():
+    """Its laws are not seen by CasADi: a form without them would be wrong without a word."""
+
+    class Compiled(OdeSystem):
+        def eta(self, t, x):
+            return -x
+
+    system = Compiled(states=["a"], auxiliaries=["f"], x0=[1.0], W_eta=[[1.0]])
+    with pytest.raises(NotSymbolicError, match="compiled loops"):
+        system.casadi()
