@@ -200,12 +200,18 @@ def bode(
     out: Annotated[Path | None, typer.Option("-o", "--out", help="PNG to write.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Bode plot and margins of the polarity loop on a model (at the end of a 1500 s run)."""
+    """Bode plot and margins of the polarity loop on a model, at the end of a run.
+
+    Modes slower than the training runs were long are set apart: they cannot be told from
+    integrators of absolute position.
+    """
     from cellsys.loop import closed_loop
     from cellsys.response import margins
 
     loaded = _load(model)
-    result = margins(closed_loop(loaded).open_loop())
+    horizon = float(loaded.notes.get("horizon_s", 1500.0))
+    point = (loop := closed_loop(loaded)).linearize(horizon, slower_than=1.0 / horizon)
+    result = margins(loop.open_loop(point))
     if out is not None:
         from cellsys.figures import bode as draw
         from cellsys.figures import save_png, sheet
@@ -220,10 +226,11 @@ def bode(
                 "phase_margin_deg": result.phase_margin,
                 "delay_margin_s": result.delay_margin,
                 "closed_loop_stable": result.closed_loop_stable,
+                "set_apart": len(point.slow),
             }
         )
         return
-    print(result)
+    print(f"{point}\n{result}")
     print(_verdict(loaded))
 
 

@@ -174,7 +174,7 @@ def test_bode(call, model_file, tmp_path):
     code, out, _ = call("bode", model_file, "--json")
     assert code == 0
     assert set(json.loads(out)) == {
-        "gain_margin", "phase_margin_deg", "delay_margin_s", "closed_loop_stable",
+        "gain_margin", "phase_margin_deg", "delay_margin_s", "closed_loop_stable", "set_apart",
     }  # fmt: skip
 
 

@@ -98,11 +98,13 @@ def complete(
     encoded: tuple[Encoded, Encoded | None] | None = None,
     sensor: StiffnessSensor | None = None,
 ) -> LatentModel:
-    """The model with its start, its sensor (fitted unless given) and its card."""
+    """The model with its start, sensor (fitted unless given), card, and longest run (s)."""
     encoded = encode_all(model, data, test) if encoded is None else encoded
     start = np.mean([encode_start(model, run) for run in data.runs], axis=0)
     sensor = sensor_of(model, data, test, encoded) if sensor is None else sensor
-    model = dataclasses.replace(model, z_start=start, sensor=sensor)
+    horizon = data.dt * max(len(run.x) - 1 for run in data.runs)
+    notes = {**model.notes, "horizon_s": horizon}
+    model = dataclasses.replace(model, z_start=start, sensor=sensor, notes=notes)
     return dataclasses.replace(model, card=assess(model, data, test, encoded))
 
 
