@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from textwrap import fill
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -16,7 +17,7 @@ def crawler_run(run: Any, ax: Any = None) -> Any:
     ax.set(
         xlabel="time (s)",
         ylabel="position (um)",
-        title=f"{run.outcome}: {run.reason}".rstrip(": ")[:80],
+        title=fill(f"{run.outcome}: {run.reason}".rstrip(": "), 90),
     )
     if run.trajectory is None:
         return ax
