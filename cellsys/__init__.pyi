@@ -1,5 +1,8 @@
+from . import bondgraph, response
+from .bondgraph import BondGraph
 from .errors import (
     BudgetError,
+    CausalityError,
     CellsysError,
     DataError,
     DimensionError,
@@ -33,6 +36,8 @@ from .loop import (
     closed_loop,
 )
 from .mechanics.commands import Commands, History
+from .mechanics.crawler import Crawler, CrawlerSystem, build_crawlers
+from .mechanics.crawler_run import CrawlRun, crawl
 from .observe import contact_radius, node_speed, summary_of_run
 from .reduction import (
     PCR,
@@ -98,6 +103,7 @@ from .study import study
 from .system import (
     Block,
     Event,
+    EventFunction,
     Layout,
     OdeSystem,
     OverdampedSystem,
