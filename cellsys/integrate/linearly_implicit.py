@@ -47,7 +47,7 @@ class LinearlyImplicit:
     """
 
     step: float
-    refresh: int = 20
+    refresh: int = 30
     corrections: int = 3
     tolerance: float = 0.05
     largest_move: float = 0.2

@@ -316,6 +316,12 @@ def _sum(n: int, items: list[Stiffness], separate: bool) -> sp.csc_array:
         if not separate and item.axes:
             on = np.zeros(3)
             on[list(item.axes)] = 1.0
-            matrix = sp.kron(matrix, sp.diags_array(on), format="csc")
+            entries = matrix.tocoo()
+            if np.array_equal(entries.row, entries.col):
+                # Diagonal, as foundation and adhesion are: no need for a Kronecker product.
+                spread = np.outer(matrix.diagonal(), on).ravel()
+                matrix = sp.csc_array(sp.diags_array(spread))
+            else:
+                matrix = sp.kron(matrix, sp.diags_array(on), format="csc")
         total = total + matrix
     return sp.csc_array(total)

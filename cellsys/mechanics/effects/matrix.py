@@ -140,7 +140,7 @@ class FibreElement(Element):
             or along.sum() < _SOFTER * self._along.sum()
         ):
             self._along = np.where(slope > 1.0, 1.2, 1.1) * along
-            self._across = 1.5 * across + 0.03 * d.stiffness
+            self._across = 2.0 * across + 0.06 * d.stiffness
             self._key += 1
         x = d.position + s.nodes[MATRIX]
         return (Stiffness(MATRIX, (), lambda: self._bound(x), self._key),)
