@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -40,7 +41,13 @@ class History:
 
     def __call__(self, t: float) -> float:
         """Value at time t."""
-        return float(np.interp(t, self.times, self.values))
+        k = bisect_right(self.times, t)
+        if k == 0 or k == len(self.times):
+            return self.values[max(k - 1, 0)]
+        a, b = self.values[k - 1], self.values[k]
+        # The share first: a slope overflows where two knots all but coincide.
+        share = (t - self.times[k - 1]) / (self.times[k] - self.times[k - 1])
+        return min(max((1.0 - share) * a + share * b, min(a, b)), max(a, b))
 
 
 @dataclass(frozen=True)
