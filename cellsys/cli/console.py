@@ -1,0 +1,87 @@
+"""What every command shares: the typer application, options, progress, tables, errors."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+class Commands(typer.core.TyperGroup):
+    """Ctrl-C in any command is one line and exit code 1."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            print("cellsys: interrupted; finished runs are kept", file=sys.stderr)
+            sys.exit(1)
+
+
+app = typer.Typer(
+    cls=Commands,
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="A cell on its matrix as a control system.",
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")]
+ModelFile = Annotated[Path, typer.Argument(help="A model written by cellsys (npz).")]
+SceneFile = Annotated[Path, typer.Argument(help="A scene file (toml).")]
+
+def say_error(error: Exception) -> None:
+    """One line on standard error."""
+    text = str(error)
+    if isinstance(error, OSError) and error.strerror:
+        text = f"{error.strerror}: {error.filename!r}" if error.filename else error.strerror
+    print(f"cellsys: {' '.join(text.split())}", file=sys.stderr)
+
+
+@contextmanager
+def progress_bars(quiet: bool) -> Iterator[Any]:
+    """A callback (stage, share) that draws rich bars on a terminal and is silent elsewhere."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda stage, share: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description:16s}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        tasks: dict[str, Any] = {}
+
+        def show(stage: str, share: float) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=1.0)
+            bars.update(tasks[stage], completed=share)
+
+        yield show
+
+
+def print_table(title: str, head: list[str], rows: list[list[str]]) -> None:
+    """A rich table on standard output."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for k, name in enumerate(head):
+        table.add_column(name, justify="left" if k == 0 else "right")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
+def dump(value: Any) -> None:
+    """JSON on standard output; NaN and inf as strings."""
+    from cellsys.study.run import plain
+
+    print(json.dumps(plain(value), indent=2, allow_nan=False))

@@ -1,0 +1,130 @@
+"""Commands that make or take a model: reduce, poles, bode, stability."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cellsys.cli.console import Json, ModelFile, app, dump
+
+if TYPE_CHECKING:
+    from cellsys.reduction import LatentModel
+
+
+@app.command()
+def reduce(
+    runs: Annotated[list[Path], typer.Argument(help="Run folders, .npz or .csv files.")],
+    order: Annotated[int, typer.Option(help="Order m of the model.")],
+    method: Annotated[str, typer.Option(help="PCR or LeastSquares.")] = "PCR",
+    dt: Annotated[float | None, typer.Option(help="Sampling interval in s.")] = None,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Model file to write.")] = Path(
+        "model.npz"
+    ),
+    as_json: Json = False,
+) -> None:
+    """Learn a reduced model from runs."""
+    from cellsys.errors import ParameterError
+    from cellsys.reduction import PCR, LeastSquares, snapshots
+    from cellsys.reduction import reduce as learn
+    from cellsys.scene.ensemble import read_run
+
+    methods = {"PCR": PCR(), "LeastSquares": LeastSquares()}
+    if method not in methods:
+        raise ParameterError(f"--method must be one of {', '.join(methods)}, got {method!r}")
+    data = snapshots([read_run(r) if r.is_dir() else r for r in runs], dt=dt)
+    model = learn(data, order=order, method=methods[method])
+    path = model.save(out)
+    if as_json:
+        dump(model.card.table())
+        return
+    print(model)
+    print(f"written: {path}")
+
+
+def _load(path: Path) -> LatentModel:
+    from cellsys.reduction import LatentModel
+
+    return LatentModel.load(path)
+
+
+@app.command()
+def poles(model: ModelFile, as_json: Json = False) -> None:
+    """Poles of a model: frequency, damping, time constant."""
+    from cellsys.response import damping
+    from cellsys.study.run import plant_of
+
+    loaded = _load(model)
+    table = damping(plant_of(loaded))
+    if as_json:
+        dump({"poles": [[p.real, p.imag] for p in table.poles], "verdict": _verdict(loaded)})
+        return
+    print(table)
+    print(_verdict(loaded))
+
+
+def _verdict(model: LatentModel) -> str:
+    return f"verdict: {model.card.verdict if model.card else 'no card: never measured on data.'}"
+
+
+@app.command()
+def bode(
+    model: ModelFile,
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="PNG to write.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Bode plot and margins of the polarity loop on a model, at the end of a run.
+
+    Modes slower than the training runs were long are set apart: they cannot be told from
+    integrators of absolute position.
+    """
+    from cellsys.loop import closed_loop
+    from cellsys.response import margins
+
+    loaded = _load(model)
+    horizon = float(loaded.notes.get("horizon_s", 1500.0))
+    point = (loop := closed_loop(loaded)).linearize(horizon, slower_than=1.0 / horizon)
+    result = margins(loop.open_loop(point))
+    if out is not None:
+        from cellsys.figures import bode as draw
+        from cellsys.figures import save_png, sheet
+
+        figure, axes = sheet((7.5, 6), 2, sharex=True)
+        draw(result, axes)
+        save_png(figure, out)
+    if as_json:
+        dump(
+            {
+                "gain_margin": result.gain_margin,
+                "phase_margin_deg": result.phase_margin,
+                "delay_margin_s": result.delay_margin,
+                "closed_loop_stable": result.closed_loop_stable,
+                "set_apart": len(point.slow),
+            }
+        )
+        return
+    print(f"{point}\n{result}")
+    print(_verdict(loaded))
+
+
+@app.command()
+def stability(model: ModelFile, as_json: Json = False) -> None:
+    """Stability of a model's plant at working precision, with the reason."""
+    from cellsys.response import stability as judge
+    from cellsys.study.run import plant_of
+
+    loaded = _load(model)
+    report = judge(plant_of(loaded))
+    if as_json:
+        dump(
+            {
+                "verdict": report.verdict,
+                "reason": report.reason,
+                "spectral_abscissa": report.spectral_abscissa,
+                "numerical_abscissa": report.numerical_abscissa,
+            }
+        )
+        return
+    print(report)
+    print(_verdict(loaded))

@@ -1,0 +1,68 @@
+"""Commands that take a scene: run, effects, schema."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cellsys.cli.console import Json, Quiet, SceneFile, app, dump, print_table, progress_bars
+
+
+@app.command()
+def run(
+    scene: SceneFile,
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="Output folder.")] = None,
+    order: Annotated[int, typer.Option(help="Order of the plant of the loop.")] = 10,
+    workers: Annotated[int, typer.Option(help="Processes for the full-order runs.")] = 2,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue interrupted runs of the same scene.")
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Scene to report: full-order runs, reduced models, poles, margins, closed loop."""
+    from cellsys.study import study
+
+    folder = Path("out") / scene.stem if out is None else out
+    with progress_bars(quiet) as progress:
+        try:
+            result = study(
+                scene, folder, order=order, workers=workers, resume=resume, progress=progress
+            )
+        except KeyboardInterrupt:
+            print("cellsys: interrupted; add --resume to go on from here", file=sys.stderr)
+            sys.exit(1)
+    if as_json:
+        dump(result.summary)
+        return
+    print(result.report())
+    print(f"\nreport: {folder / 'report.html'}")
+
+
+@app.command()
+def effects(
+    scene: Annotated[Path | None, typer.Argument(help="A scene file (toml).")] = None,
+    as_json: Json = False,
+) -> None:
+    """List all effects, or what a scene builds."""
+    from cellsys.scene.listing import effect_table, scene_table
+
+    rows = effect_table() if scene is None else scene_table(scene)
+    if as_json:
+        dump(rows)
+        return
+    head = list(rows[0])
+    title = "effects" if scene is None else f"what {scene.name} builds"
+    print_table(title, head, [[str(r[h]) for h in head] for r in rows])
+
+
+@app.command()
+def schema() -> None:
+    """JSON schema of scene files, for editors."""
+    from cellsys.scene import scene_schema
+
+    print(json.dumps(scene_schema(), indent=2))
