@@ -18,6 +18,7 @@ class Commands(typer.core.TyperGroup):
     """Ctrl-C in any command is one line and exit code 1."""
 
     def invoke(self, ctx: Any) -> Any:
+        """Run the command; see the class."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
