@@ -9,11 +9,12 @@ import numpy as np
 from cellsys.errors import BudgetError
 from cellsys.integrate.simulate import available_memory
 from cellsys.mechanics.crawler import CrawlerSystem
-from cellsys.mechanics.effects.protocol import CellBody
+from cellsys.mechanics.effects.protocol import CellBody, Effect
 from cellsys.mechanics.geometry.disc import DENSITY, Disc, disc
 from cellsys.mechanics.geometry.membrane import sphere
 from cellsys.mechanics.spreading import CellSpec, SpreadingSystem, build_spreading
 from cellsys.scene.chain import ChainScene, build_chain
+from cellsys.scene.registry import EFFECTS
 from cellsys.scene.scene import MatrixScene, Scene
 
 START_GAP = 0.05  # um between the lowest point of a cell and the top of the matrix
@@ -33,7 +34,7 @@ def build(scene: Scene) -> SpreadingSystem | CrawlerSystem:
     if isinstance(scene.matrix, ChainScene):
         return build_chain(scene.matrix, scene.cells)
     matrix = _matrix(scene.matrix, scene.seed) if scene.matrix is not None else None
-    matrix_effects = {n: e for n, e in scene.effects.items() if e.acts_on == "matrix"}
+    matrix_effects = {n: e for n, e in _ordered(scene.effects) if e.acts_on == "matrix"}
     cells = []
     for k, cell in enumerate(scene.cells, start=1):
         height = cell.radius + START_GAP
@@ -43,10 +44,19 @@ def build(scene: Scene) -> SpreadingSystem | CrawlerSystem:
             np.array([np.cos(cell.polarity), np.sin(cell.polarity), 0.0]),
         )
         effects = {
-            n: e for n, e in {**scene.effects, **cell.effects}.items() if e.acts_on == "cell"
+            n: e for n, e in _ordered({**scene.effects, **cell.effects}) if e.acts_on == "cell"
         }
         cells.append(CellSpec(body, effects, cell.commands or scene.commands))
     return build_spreading(tuple(cells), matrix, matrix_effects, scene.effects["drag"])
+
+
+def _ordered(effects: dict[str, Effect]) -> list[tuple[str, Effect]]:
+    """Effects in the registry's order, so that one scene has one layout of x and eta.
+
+    A scene read back from a run folder names its effects in another order than its file did.
+    """
+    order = {name: k for k, name in enumerate(EFFECTS)}
+    return sorted(effects.items(), key=lambda item: order.get(item[0], len(order)))
 
 
 def matrix_nodes(spec: MatrixScene) -> int:

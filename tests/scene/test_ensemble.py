@@ -38,6 +38,11 @@ def test_a_run_folder_is_read_without_its_scene_file(tmp_path):
     back = read_run(folder)
     assert np.array_equal(back.x, stored.x)
     assert back.states == stored.states
+    # The header lists effects by name; the columns of eta stay those of the run.
+    assert back.auxiliaries == stored.auxiliaries
+    rate = np.diff(back.x, axis=0) / np.diff(back.t)[:, None]
+    told = back.eta @ back.W_eta.T + back.u
+    assert np.allclose(told, rate, atol=1e-9 * np.abs(rate).max())  # rounding of sums of forces
     with pytest.raises(FileFormatError):
         read_run(tmp_path)
 
