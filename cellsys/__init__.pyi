@@ -48,6 +48,7 @@ from .reduction import (
     LeastSquares,
     PoleCertainty,
     RandomisedSVD,
+    Ridge,
     RunData,
     Snapshots,
     StiffnessSensor,
@@ -98,6 +99,7 @@ from .scene import (
     run_scene,
     scene_schema,
     training_scenes,
+    turning_scenes,
 )
 from .study import study
 from .system import (

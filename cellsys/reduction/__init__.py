@@ -8,6 +8,7 @@ from cellsys.reduction.least_squares import LeastSquares
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.pcr import PCR
 from cellsys.reduction.reduce import reduce, reduce_orders
+from cellsys.reduction.ridge import Ridge
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import RunData, Snapshots, snapshots
 
@@ -20,6 +21,7 @@ __all__ = [
     "LeastSquares",
     "PoleCertainty",
     "RandomisedSVD",
+    "Ridge",
     "RunData",
     "Snapshots",
     "StiffnessSensor",

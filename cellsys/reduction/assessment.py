@@ -42,18 +42,44 @@ def roll_out(model: LatentModel, data: Snapshots, run: RunData) -> np.ndarray:
         commands = data.commands_of(run, model.input_names)
     else:
         commands = np.asarray(run.u) if model.B.shape[1] and run.u is not None else None
-    t = data.dt * np.arange(len(run.x))
-    return model.reconstruct(model.predict(z0, commands, t))
+    return model.reconstruct(predict_samples(model, z0, commands, data.dt, len(run.x)))
+
+
+def predict_samples(
+    model: LatentModel, z0: np.ndarray, commands: np.ndarray | None, dt: float, samples: int
+) -> np.ndarray:
+    """z (samples, m) every dt s, commands (samples - 1, n_c).
+
+    A model whose own step is a multiple of dt sees the mean commands of its steps; between them
+    z is interpolated linearly.
+    """
+    t = dt * np.arange(samples)
+    every = 1 if model.dt is None else round(model.dt / dt)
+    if samples < 2 or every <= 1 or abs(every * dt - model.dt) > 1e-9 * model.dt:
+        return model.predict(z0, commands, t)
+    starts = np.arange(0, samples - 1, every)
+    if commands is not None:
+        counts = np.diff(np.append(starts, samples - 1))
+        commands = np.add.reduceat(commands, starts, axis=0) / counts[:, None]
+    z = model.predict(z0, commands, model.dt * np.arange(len(starts) + 1))
+    k, share = np.divmod(np.arange(samples), every)
+    ahead = np.minimum(k + 1, len(starts))
+    return z[k] + (share / every)[:, None] * (z[ahead] - z[k])
 
 
 def encode_start(model: LatentModel, run: RunData) -> np.ndarray:
     """z of a run's start from its instantaneous laws, never from a logged average."""
-    return model.encode(np.asarray(run.x[0]), run.eta_start)
+    return model.encode(np.asarray(run.x[0]), run.eta_start if _reads_eta(model) else None)
+
+
+def _reads_eta(model: LatentModel) -> bool:
+    """Whether auxiliaries are among the model's coordinates."""
+    return model.V is None or len(model.V) > model.n_states
 
 
 def encode_run(model: LatentModel, run: RunData) -> np.ndarray:
     """z (T - 1, m) of a run's samples, from states and logged auxiliaries."""
-    eta = None if run.eta is None else np.asarray(run.eta)
+    eta = np.asarray(run.eta) if run.eta is not None and _reads_eta(model) else None
     z = model.encode(np.asarray(run.x)[:-1], eta)
     run.release()
     return z

@@ -11,7 +11,8 @@ from scipy.optimize import linear_sum_assignment
 from cellsys.drawable import Drawable
 from cellsys.reduction.basis import Basis, fit_basis
 from cellsys.reduction.model import LatentModel
-from cellsys.reduction.pcr import PCR, LatentParts, truncated
+from cellsys.reduction.pcr import PCR
+from cellsys.reduction.regression import LatentParts, truncated
 from cellsys.reduction.snapshots import Snapshots
 
 

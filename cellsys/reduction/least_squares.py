@@ -9,7 +9,13 @@ import numpy as np
 
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.model import LatentModel
-from cellsys.reduction.pcr import LatentParts, regress, role_blocks, truncated
+from cellsys.reduction.regression import (
+    LatentParts,
+    StepSamples,
+    learned_model,
+    regress,
+    truncated,
+)
 from cellsys.reduction.snapshots import Snapshots
 
 
@@ -43,40 +49,17 @@ class LeastSquares:
         `basis` (of at least that order) and `parts` (latent samples in it) are reused if given.
         """
         basis = truncated(basis, order) or fit_basis(data, order, method=self.svd)
-        n, m = data.states.size, order
-        parts = (LatentParts.of(data, basis) if parts is None else parts).first(m)
-        rate = (parts.next - parts.now) / data.dt
-        B, names = np.zeros((m, 0)), ()
-        if data.command_names:
-            F, names = data.varying_commands()
-            K, b, rank = regress(np.column_stack([parts.now, F]), rate, True, self.rank_tolerance)
-            A, B = K[:m].T, K[m:].T
-        else:
-            if data.has_u:
-                weight = basis.inverse_scale()[:n, None] * basis.V[:n]
-                rate = rate - data.stacked("u") @ weight
-                if n <= 200:
-                    B, names = weight.T.copy(), tuple(f"u.{s}" for s in data.states.names)
-            K, b, rank = regress(parts.now, rate, True, self.rank_tolerance)
-            A = K.T
-        return LatentModel(
-            A,
-            B=B,
+        parts = (LatentParts.of(data, basis) if parts is None else parts).first(order)
+        s = StepSamples.of(data, basis, parts, data.dt)
+        rate = (s.ahead - s.now) / data.dt - s.known
+        K, b, rank = regress(np.column_stack([s.now, s.inputs]), rate, True, self.rank_tolerance)
+        return learned_model(
+            data,
+            basis,
+            K[:order].T,
+            B=np.column_stack([K[order:].T, s.B]),
             offset=b,
-            V=basis.V,
-            mean=basis.mean,
-            scale=basis.scale,
-            singular_values=basis.singular_values,
+            input_names=s.names,
             dt=data.dt,
-            n_states=n,
-            blocks=role_blocks(data),
-            states=data.states,
-            auxiliaries=data.auxiliaries,
-            input_names=names,
-            notes={
-                "method": repr(self),
-                "regression_rank": int(rank),
-                "dropped_columns": basis.dropped,
-                "variance_share": float(np.sum(basis.singular_values**2) / basis.total),
-            },
+            notes={"method": repr(self), "regression_rank": rank},
         )

@@ -12,7 +12,8 @@ from cellsys.errors import ParameterError
 from cellsys.reduction.assessment import Encoded, assess, encode_all, encode_start
 from cellsys.reduction.basis import Basis, fit_basis
 from cellsys.reduction.model import LatentModel
-from cellsys.reduction.pcr import PCR, LatentParts
+from cellsys.reduction.pcr import PCR
+from cellsys.reduction.regression import LatentParts
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import Snapshots
 

@@ -12,7 +12,7 @@ from cellsys.reduction import Basis, Snapshots
 from cellsys.reduction.assessment import Encoded, encode_all, mean_motion
 from cellsys.reduction.basis import fit_basis
 from cellsys.reduction.model import LatentModel
-from cellsys.reduction.pcr import LatentParts
+from cellsys.reduction.regression import LatentParts
 from cellsys.store import fingerprint, load_archive, save_archive
 from cellsys.version import __version__
 

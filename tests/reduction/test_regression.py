@@ -7,9 +7,18 @@ import pytest
 
 from cellsys.errors import DataError, DimensionError, ParameterError, RankError
 from cellsys.integrate import CVODES, simulate
-from cellsys.reduction import PCR, LeastSquares, RunData, reduce, reduce_orders, snapshots
+from cellsys.reduction import (
+    PCR,
+    LatentModel,
+    LeastSquares,
+    RunData,
+    reduce,
+    reduce_orders,
+    snapshots,
+)
+from cellsys.reduction.assessment import predict_samples
 from cellsys.reduction.basis import fit_basis
-from cellsys.reduction.pcr import regress
+from cellsys.reduction.regression import regress
 from cellsys.system import OdeSystem
 from tests import naive
 from tests.reduction.systems import ar1_data, linear_runs, one_step_data, stable_matrix, state_data
@@ -285,3 +294,18 @@ def test_user_data_refusals():
         snapshots([x[:, 0]], dt=1.0)
     with pytest.raises(ParameterError, match="numbers"):
         snapshots([[["a", "b"]]], dt=1.0)
+
+
+def test_a_coarse_model_is_rolled_out_between_its_steps():
+    """Mean commands a step, linear in between; the last, shorter step has the mean of what is."""
+    model = LatentModel([[-0.1]], B=[[1.0]], dt=3.0)
+    c = np.array([[1.0], [2.0], [6.0], [-1.0], [-3.0]])
+    z = predict_samples(model, np.array([2.0]), c, 1.0, 6)[:, 0]
+    first = 2.0 + 3.0 * (-0.2 + 3.0)
+    second = first + 3.0 * (-0.1 * first - 2.0)
+    expected = [2.0, 2 + (first - 2) / 3, 2 + 2 * (first - 2) / 3, first]
+    expected += [first + (second - first) / 3, first + 2 * (second - first) / 3]
+    assert np.allclose(z, expected, rtol=1e-14)
+    assert predict_samples(model, np.array([2.0]), None, 1.0, 1).tolist() == [[2.0]]
+    with pytest.raises(ParameterError, match="grid"):
+        predict_samples(model, np.array([2.0]), None, 2.0, 4)
