@@ -2,9 +2,10 @@
 
 from cellsys.scene.build import build
 from cellsys.scene.chain import ChainScene
-from cellsys.scene.ensemble import run_ensemble, run_scene, training_scenes
+from cellsys.scene.ensemble import run_ensemble, run_scene
 from cellsys.scene.parse import load_scene, scene_schema
 from cellsys.scene.scene import CellScene, MatrixScene, Scene, Training
+from cellsys.scene.training import training_scenes, turning_scenes
 
 __all__ = [
     "CellScene",
@@ -18,4 +19,5 @@ __all__ = [
     "run_scene",
     "scene_schema",
     "training_scenes",
+    "turning_scenes",
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import signal
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
@@ -12,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from cellsys.errors import FileFormatError, SceneError
+from cellsys.errors import FileFormatError
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.simulate import record_shapes, simulate, trajectory_of
-from cellsys.mechanics.commands import Commands, History
 from cellsys.scene.build import build
 from cellsys.scene.chain import METHOD, ChainScene
 from cellsys.scene.parse import scene_from_plain
@@ -23,46 +21,6 @@ from cellsys.scene.scene import Scene
 from cellsys.store.runs import RunReader, RunWriter
 from cellsys.system import Event, OdeSystem
 from cellsys.trajectory import Trajectory
-
-
-def training_scenes(scene: Scene) -> tuple[list[Scene], list[Scene]]:
-    """Open-loop scenes for training and for held-out tests.
-
-    Training: `runs` constant headings, evenly spread. Held out: `held_out` headings half-way
-    between trained ones. The polarity law is replaced by the command, the sensor stays, so that
-    the direction it reports is recorded.
-
-    Raises
-    ------
-    SceneError
-        A scene on a chain: crawlers take no commands.
-    """
-    if isinstance(scene.matrix, ChainScene):
-        raise SceneError(
-            "a scene with matrix.kind = 'chain' has no headings to train on; vary its cells with "
-            "dataclasses.replace and use run_ensemble"
-        )
-    plan = scene.training
-    spacing = 2.0 * np.pi / plan.runs
-    trained = [spacing * k for k in range(plan.runs)]
-    between = [
-        spacing * ((k * plan.runs) // max(plan.held_out, 1) + 0.5) for k in range(plan.held_out)
-    ]
-    effects = {n: e for n, e in scene.effects.items() if n != "polarity"}
-
-    def at(angle: float, label: str) -> Scene:
-        heading = History((0.0,), (angle,))
-        return dataclasses.replace(
-            scene,
-            name=f"{scene.name}: {label} {np.degrees(angle):.1f} deg",
-            duration=plan.duration,
-            sample=min(plan.sample, plan.duration),
-            effects=effects,
-            cells=tuple(dataclasses.replace(c, polarity=angle, commands=None) for c in scene.cells),
-            commands=Commands(heading, scene.commands.amplitude),
-        )
-
-    return [at(a, "training") for a in trained], [at(a, "held out") for a in between]
 
 
 def run_scene(

@@ -161,11 +161,20 @@ def _effects(table: BaseModel) -> dict[str, Effect]:
         if values is None:
             continue
         given = {k: getattr(values, k) for k in type(values).model_fields}
-        given = {k: v for k, v in given.items() if v is not None}
-        effects[name] = EFFECTS[name](
-            **{k: _as_history(v) if isinstance(v, BaseModel) else v for k, v in given.items()}
-        )
+        effects[name] = _effect(EFFECTS[name], given)
     return effects
+
+
+def _effect(kind: type[Effect], given: Mapping[str, Any]) -> Effect:
+    values = {}
+    for key, value in given.items():
+        if isinstance(value, BaseModel):
+            values[key] = _as_history(value)
+        elif isinstance(value, list):
+            values[key] = tuple(_effect(kind, dict(item)) for item in value)
+        elif value is not None:
+            values[key] = value
+    return kind(**values)
 
 
 def _as_history(table: Any) -> History:
@@ -191,13 +200,15 @@ def scene_from_plain(table: Mapping[str, Any]) -> Scene:
         return Commands(history(value["heading"]), history(value["amplitude"]))
 
     def effects(values: Mapping[str, Any]) -> dict[str, Effect]:
-        out = {}
-        for name, given in values.items():
-            fields = {k: v for k, v in given.items() if k != "effect"}
-            if isinstance(fields.get("history"), Mapping):
-                fields["history"] = history(fields["history"])
-            out[name] = EFFECTS[given["effect"]](**fields)
-        return out
+        return {name: effect(given) for name, given in values.items()}
+
+    def effect(given: Mapping[str, Any]) -> Effect:
+        fields = {k: v for k, v in given.items() if k != "effect"}
+        if isinstance(fields.get("history"), Mapping):
+            fields["history"] = history(fields["history"])
+        if "patches" in fields:
+            fields["patches"] = tuple(effect(p) for p in fields["patches"])
+        return EFFECTS[given["effect"]](**fields)
 
     matrix = table["matrix"]
     chain = matrix is not None and matrix["kind"] == "chain"

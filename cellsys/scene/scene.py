@@ -65,14 +65,36 @@ class CellScene:
 class Training:
     """The ensemble a reduced model is learned from.
 
-    `runs` constant headings spread over the circle, `held_out` further ones between them, each
-    of `duration` s sampled every `sample` s.
+    `runs` runs and `held_out` further ones, each of `duration` s sampled every `sample` s.
+    `commands` "constant": headings spread over the circle, the held-out ones between them;
+    "turning": turning headings and varying amplitudes drawn from the scene's seed, the last
+    `loaded` training runs with loads on the matrix besides, every cell up to `scatter` um away
+    from its place along each axis.
     """
 
     runs: int = 8
     held_out: int = 2
     duration: float = 1500.0
     sample: float = 5.0
+    commands: str = "constant"
+    loaded: int = 0
+    scatter: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.commands not in ("constant", "turning"):
+            raise SceneError(
+                f"training.commands must be 'constant' or 'turning', got {self.commands!r}"
+            )
+        if not 0 <= self.loaded <= self.runs:
+            raise SceneError(
+                f"training.loaded must be between 0 and runs = {self.runs}, got {self.loaded}"
+            )
+        if not (np.isfinite(self.scatter) and self.scatter >= 0):
+            raise SceneError(f"training.scatter must be >= 0 um, got {self.scatter!r}")
+        if (self.loaded or self.scatter) and self.commands == "constant":
+            raise SceneError(
+                "training.loaded and training.scatter need training.commands = 'turning'"
+            )
 
 
 @dataclass(frozen=True)

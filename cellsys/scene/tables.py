@@ -68,13 +68,19 @@ def _effect_table(effect: type[Effect]) -> type[BaseModel]:
         if isinstance(item.default, History):
             fields[item.name] = (_FactorHistory | None, None)
             continue
+        if "unit" not in item.metadata:
+            continue  # further patches, added below
         meta = item.metadata
         kind = Literal[meta["choices"]] if meta["choices"] else amount(meta["unit"])
         fields[item.name] = (
             kind | None,
             Field(default=None, description=f"{meta['about']} [{meta['unit']}] ({meta['source']})"),
         )
-    return create_model(f"{effect.__name__}Table", __base__=Table, **fields)
+    table = create_model(f"{effect.__name__}Table", __base__=Table, **fields)
+    if any(item.name == "patches" for item in dataclasses.fields(effect)):
+        # Further ones of the same kind, which act together with the first.
+        table = create_model(f"{effect.__name__}sTable", __base__=table, patches=(list[table], []))
+    return table
 
 
 EffectsTable = create_model(
@@ -127,6 +133,9 @@ class _TrainingTable(Table):
     held_out: Count = 2
     duration: Time = 1500.0
     sample: Time = 5.0
+    commands: Literal["constant", "turning"] = "constant"
+    loaded: Count = 0
+    scatter: _Length = 0.0
 
 
 class DiscSceneTable(Table):

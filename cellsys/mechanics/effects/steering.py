@@ -199,7 +199,10 @@ def _heading(history: History, t: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ExternalLoad(Effect):
-    """A force history spread over the surface nodes of a round patch of the matrix."""
+    """A force history spread over the surface nodes of a round patch of the matrix.
+
+    `patches` are further loads of the same kind that act together with this one.
+    """
 
     name: ClassVar[str] = "external_load"
     acts_on: ClassVar[str] = "matrix"
@@ -209,6 +212,7 @@ class ExternalLoad(Effect):
     y: float = parameter("0 um", "um", source="scene", about="centre of the patch")
     radius: float = parameter("5 um", "um", above=0.0, source="scene", about="radius of the patch")
     history: History = History((0.0,), (1.0,))
+    patches: tuple[ExternalLoad, ...] = ()
 
     def elements(self, site: Site) -> tuple[Element, ...]:
         return (_LoadElement(self, site.matrix),)
@@ -219,22 +223,29 @@ class _LoadElement(Element):
         self.effect = effect
         self.name = f"{MATRIX}.{effect.name}"
         self.inputs = (Port(MATRIX, self.name),)
-        xy = disc.position[:, :2] - (effect.x, effect.y)
-        weight = np.clip(1.0 - (xy**2).sum(axis=1) / effect.radius**2, 0.0, None)
-        weight[disc.clamped] = 0.0
-        mask = np.zeros(len(weight))
-        mask[disc.surface] = 1.0
-        weight *= mask
-        if not weight.any():
-            raise SceneError(
-                f"external_load at ({effect.x:g}, {effect.y:g}) um, radius {effect.radius:g} um, "
-                "covers no free matrix node; move it inside the disc or enlarge it"
-            )
-        unit = np.array([np.cos(effect.direction), np.sin(effect.direction), 0.0])
-        self.pattern = effect.force * (weight / weight.sum())[:, None] * unit
+        self.parts = tuple((p, _pattern(p, disc)) for p in (effect, *effect.patches))
 
     def force(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
-        out[0][:] = self.effect.history(s.t) * self.pattern
+        out[0][:] = 0.0
+        for patch, pattern in self.parts:
+            out[0][:] += patch.history(s.t) * pattern
 
     def stop_points(self) -> tuple[float, ...]:
-        return self.effect.history.times
+        return tuple(t for patch, _ in self.parts for t in patch.history.times)
+
+
+def _pattern(patch: ExternalLoad, disc: Disc) -> np.ndarray:
+    """Nodal forces (n, 3) of one patch at factor 1."""
+    xy = disc.position[:, :2] - (patch.x, patch.y)
+    weight = np.clip(1.0 - (xy**2).sum(axis=1) / patch.radius**2, 0.0, None)
+    weight[disc.clamped] = 0.0
+    mask = np.zeros(len(weight))
+    mask[disc.surface] = 1.0
+    weight *= mask
+    if not weight.any():
+        raise SceneError(
+            f"external_load at ({patch.x:g}, {patch.y:g}) um, radius {patch.radius:g} um, "
+            "covers no free matrix node; move it inside the disc or enlarge it"
+        )
+    unit = np.array([np.cos(patch.direction), np.sin(patch.direction), 0.0])
+    return patch.force * (weight / weight.sum())[:, None] * unit
