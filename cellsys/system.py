@@ -305,6 +305,10 @@ class OdeSystem:
         """Times (s) at which the right-hand side jumps: no step may cross them."""
         return ()
 
+    def geometry(self) -> dict[str, np.ndarray]:
+        """Constant places that a reader of a run needs, such as rest positions; by name."""
+        return {}
+
     def observe(self, t: float, x: np.ndarray) -> dict[str, np.ndarray]:
         """Read-outs stored with each sample: ``p``, ``d`` (cells, 3), ``amplitude`` (cells,)."""
         return {}

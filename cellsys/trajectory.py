@@ -52,6 +52,8 @@ class Trajectory(Drawable):
         Discrete happenings, in order of time.
     statistics : mapping
         Counts and times of the integrator.
+    geometry : mapping of str to array
+        Constant places of the system, such as ``matrix.rest`` (N, 3) um.
     """
 
     t: np.ndarray
@@ -69,6 +71,7 @@ class Trajectory(Drawable):
     events: tuple[Event, ...] = ()
     statistics: Mapping[str, Any] = field(default_factory=dict)
     label: str = ""
+    geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     _figure: ClassVar[str] = "trajectory"
 

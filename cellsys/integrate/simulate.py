@@ -197,6 +197,7 @@ def trajectory_of(
         events=events,
         statistics=statistics,
         label=label,
+        geometry=system.geometry(),
     )
 
 

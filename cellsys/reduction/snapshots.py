@@ -80,6 +80,8 @@ class Snapshots:
     scale : {"none", "block", "column"}
         Units of the inner product: as they come; one factor for the positions and one for the
         rates of every cell and of the matrix (default); one factor per column (amplifies noise).
+    geometry : mapping of str to array
+        Constant places: ``matrix.rest`` (N, 3) um, ``matrix.surface`` (indices).
     """
 
     runs: tuple[RunData, ...]
@@ -91,6 +93,7 @@ class Snapshots:
     command_names: tuple[str, ...] = ()
     scale: str = "block"
     source: Mapping[str, Any] = field(default_factory=dict)
+    geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.scale not in SCALES:
@@ -336,6 +339,7 @@ def _from_trajectories(runs: list[Trajectory], scale: str) -> Snapshots:
         names,
         scale,
         {"runs": [r.label for r in runs]},
+        dict(first.geometry),
     )
 
 
