@@ -9,25 +9,12 @@ it; every nodal port of an effect is an effort on that junction:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from cellsys.bondgraph import BondGraph, Element, Internal, NodalEffort, One, R
-from cellsys.mechanics.effects.protocol import Port
+from cellsys.mechanics.effects.protocol import JunctionArray, Port
 from cellsys.system import Block
-
-
-class JunctionArray(NamedTuple):
-    """Nodes that share a junction: name, position block (n, 3), start (n, 3), drag (n, 3).
-
-    Drag in pN s/um; inf holds a node in place.
-    """
-
-    name: str
-    block: Block
-    start: np.ndarray
-    drag: np.ndarray
 
 
 def junction_graph(

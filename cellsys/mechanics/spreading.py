@@ -9,26 +9,27 @@ absent has no block, no state and no cost.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
 
 from cellsys.errors import SceneError
+from cellsys.mechanics.cholesky import SparseCholesky
 from cellsys.mechanics.commands import Commands
-from cellsys.mechanics.effects.matrix import MATRIX, Drag, FibreElement
+from cellsys.mechanics.effects.matrix import MATRIX, Drag
 from cellsys.mechanics.effects.protocol import (
     CellBody,
     Configuration,
     Effect,
     Element,
+    JunctionArray,
     Site,
     Stiffness,
 )
-from cellsys.mechanics.effects.steering import LamellipodiumElement, PolarityElement
 from cellsys.mechanics.geometry.disc import Disc
-from cellsys.mechanics.junctions import JunctionArray, junction_graph
+from cellsys.mechanics.junctions import junction_graph
 from cellsys.system import Block, Event, Layout, MajorantBlock, OverdampedSystem, RankOne
 
 
@@ -42,32 +43,74 @@ class CellSpec:
 
 
 def build_spreading(
-    cells: tuple[CellSpec, ...], matrix: Disc | None, matrix_effects: dict[str, Effect], drag: Drag
+    cells: tuple[CellSpec, ...],
+    matrix: Disc | None,
+    effects: dict[str, Effect],
+    drag: Drag,
 ) -> SpreadingSystem:
-    """Assemble the system; effects are checked against their needs by the caller's scene."""
+    """Assemble the system; effects are checked against their needs by the caller's scene.
+
+    `effects` are those that do not act on a single cell. Elements are built on the matrix, then
+    on one cell after the other, then on all cells together, then on all node arrays.
+    """
+    bodies = tuple(c.body for c in cells)
+    arrays = list(node_arrays(cells, matrix, drag))
     elements: list[Element] = []
-    fibres: FibreElement | None = None
+
+    def attach(kind: str, chosen: dict[str, Effect], site: Site) -> Site:
+        for effect in chosen.values():
+            if effect.acts_on == kind:
+                site = replace(site, arrays=tuple(arrays), built=tuple(elements))
+                arrays.extend(effect.arrays(site))
+                elements.extend(effect.elements(replace(site, arrays=tuple(arrays))))
+        return replace(site, arrays=tuple(arrays), built=tuple(elements))
+
+    whole = Site(None, matrix, None, effects, bodies)
     if matrix is not None:
-        site = Site(None, matrix, None, matrix_effects)
-        for effect in matrix_effects.values():
-            built = effect.elements(site)
-            fibres = next((e for e in built if isinstance(e, FibreElement)), fibres)
-            elements.extend(built)
+        attach("matrix", effects, whole)
     for cell in cells:
-        site = Site(cell.body, matrix, cell.commands, {**matrix_effects, **cell.effects})
-        for effect in cell.effects.values():
-            elements.extend(effect.elements(site))
-        if {"polarity", "lamellipodium", "stiffness_sensing"} & set(cell.effects):
-            elements.append(
-                PolarityElement(
-                    cell.body,
-                    cell.commands,
-                    cell.effects.get("polarity"),
-                    cell.effects.get("stiffness_sensing"),
-                    fibres,
-                )
-            )
-    return SpreadingSystem(cells, matrix, tuple(elements), drag)
+        own = Site(cell.body, matrix, cell.commands, {**effects, **cell.effects}, bodies)
+        attach("cell", cell.effects, own)
+        if any(effect.steers for effect in cell.effects.values()):
+            from cellsys.mechanics.effects.steering import polarity_element
+
+            elements.append(polarity_element(replace(own, built=tuple(elements))))
+    attach("cells", effects, whole)
+    arrays = [held(array, elements) for array in arrays]
+    attach("scene", effects, whole)
+    return SpreadingSystem(cells, matrix, tuple(elements), tuple(arrays))
+
+
+def node_arrays(
+    cells: tuple[CellSpec, ...], matrix: Disc | None, drag: Drag
+) -> tuple[JunctionArray, ...]:
+    """The membranes of all cells and the matrix, each node with its drag."""
+    nodes = []
+    for cell in cells:
+        at, name = cell.body.membrane.position, cell.body.name
+        taken = {r for effect in cell.effects.values() for r in effect.replaces}
+        c = np.full(at.shape, drag.cell + (0.0 if "drag.cortex" in taken else drag.cortex))
+        nodes.append(JunctionArray(name, Block(f"{name}.position", at.shape, "um"), at, c))
+    if matrix is not None:
+        shape = matrix.position.shape
+        c = np.where(matrix.clamped, np.inf, drag.matrix)[:, None] * np.ones(3)
+        block = Block("matrix.displacement", shape, "um", "field")
+        nodes.append(JunctionArray(MATRIX, block, np.zeros(shape), c))
+    if not nodes:
+        raise SceneError("a scene needs at least one cell or a matrix")
+    return tuple(nodes)
+
+
+def held(array: JunctionArray, elements: list[Element]) -> JunctionArray:
+    """The array with the nodes held by an element at their place at t = 0, their drag inf."""
+    for element in elements:
+        if any(h.array == array.name for h in element.holds):
+            start, drag = array.start.copy(), array.drag.copy()
+            for h, place in zip(element.holds, element.place(0.0), strict=True):
+                if h.array == array.name:
+                    start[h.nodes], drag[h.nodes] = place, np.inf
+            array = array._replace(start=start, drag=drag)
+    return array
 
 
 class SpreadingSystem(OverdampedSystem):
@@ -84,21 +127,9 @@ class SpreadingSystem(OverdampedSystem):
         cells: tuple[CellSpec, ...],
         matrix: Disc | None,
         elements: tuple[Element, ...],
-        drag: Drag,
+        nodes: tuple[JunctionArray, ...],
     ) -> None:
-        arrays = {c.body.name: f"{c.body.name}.position" for c in cells}
-        nodes = []
-        for cell in cells:
-            at, name = cell.body.membrane.position, cell.body.name
-            c = np.full(at.shape, drag.cell + drag.cortex)
-            nodes.append(JunctionArray(name, Block(arrays[name], at.shape, "um"), at, c))
-        if matrix is not None:
-            arrays[MATRIX], shape = "matrix.displacement", matrix.position.shape
-            held = np.where(matrix.clamped, np.inf, drag.matrix)[:, None] * np.ones(3)
-            block = Block(arrays[MATRIX], shape, "um", "field")
-            nodes.append(JunctionArray(MATRIX, block, np.zeros(shape), held))
-        if not nodes:
-            raise SceneError("a scene needs at least one cell or a matrix")
+        arrays = {array.name: array.block.name for array in nodes}
         inside = [b for e in elements for b in e.internal]
         equations = junction_graph(
             nodes,
@@ -110,17 +141,7 @@ class SpreadingSystem(OverdampedSystem):
         for array in nodes:
             c[states.slice(array.block.name)] = array.drag.ravel()
         mobility = np.where(c > 0, 1.0 / np.where(c > 0, c, 1.0), 1.0)  # 0 where clamped
-        inputs = Layout(
-            [
-                block
-                for e in elements
-                if isinstance(e, LamellipodiumElement)
-                for block in (
-                    Block(f"{e.array}.heading", (3,), "1", "controller", "internal"),
-                    Block(f"{e.array}.amplitude", (), "1", "controller", "internal"),
-                )
-            ]
-        )
+        inputs = Layout([block for e in elements for block in e.commanded])
         super().__init__(
             states=states,
             x0=equations.x0,
@@ -137,6 +158,7 @@ class SpreadingSystem(OverdampedSystem):
             ("_mobility", mobility),
             ("_internal", tuple(inside)),
             ("_last", ()),
+            ("_cholesky", {}),
         ):
             object.__setattr__(self, name, value)
         index = {}
@@ -205,22 +227,27 @@ class SpreadingSystem(OverdampedSystem):
                 element.force(s, (out,))
                 piece = self.states.slice(self._arrays[port.array])
                 u[piece] += self._mobility[piece] * out.ravel()
+            if element.holds:
+                views = tuple(self.states.view(u, self._arrays[h.array]) for h in element.holds)
+                element.flows(s, views)
         return u
+
+    def geometry(self) -> dict[str, np.ndarray]:
+        """``matrix.rest`` (N, 3) um and ``matrix.surface``, the nodes that adhesions reach."""
+        if self.matrix is None:
+            return {}
+        return {"matrix.rest": self.matrix.position, "matrix.surface": self.matrix.surface}
 
     def stop_points(self) -> tuple[float, ...]:
         return tuple(sorted({t for e in self.elements for t in e.stop_points()}))
 
     def observe(self, t: float, x: np.ndarray) -> dict[str, np.ndarray]:
         s = self.configuration(t, x)
-        steering = [e for e in self.elements if isinstance(e, PolarityElement)]
-        out = {}
-        if steering:
-            out["p"] = np.array([s.internal[e.name] for e in steering])
-            out["d"] = np.array([e.sensed(s) for e in steering])
-        pushing = [e for e in self.elements if isinstance(e, LamellipodiumElement)]
-        if pushing:
-            out["amplitude"] = np.array([e.amplitude(t) for e in pushing])
-        return out
+        out: dict[str, list] = {}
+        for element in self.elements:
+            for name, value in element.observe(s).items():
+                out.setdefault(name, []).append(value)
+        return {name: np.array(values) for name, values in out.items()}
 
     # OverdampedSystem
 
@@ -241,7 +268,7 @@ class SpreadingSystem(OverdampedSystem):
         s, end = self.configuration(t, x), self.configuration(t + dt, x_new)
         object.__setattr__(self, "_last", ((x, s), (x_new, end)))
         for element in self.elements:
-            if element.internal:
+            if element.internal or element.holds:
                 element.advance(s, end, dt)
 
     def majorant(self, t: float, x: np.ndarray, dt: float) -> tuple[MajorantBlock, ...]:
@@ -250,11 +277,12 @@ class SpreadingSystem(OverdampedSystem):
         for element in self.elements:
             for item in element.stiffness(s):
                 parts[item.array].append(item)
-        return tuple(
-            block
-            for array, items in parts.items()
-            for block in combine(array, self._index[array], items, t)
-        )
+        blocks = []
+        for array, items in parts.items():
+            for block in combine(array, self._index[array], items, t):
+                factor = self._cholesky.setdefault(block.name, SparseCholesky())
+                blocks.append(block._replace(factor=factor))
+        return tuple(blocks)
 
     def low_rank(self, t: float, x: np.ndarray) -> tuple[RankOne, ...]:
         s = self.configuration(t, x)

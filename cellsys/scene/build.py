@@ -34,7 +34,7 @@ def build(scene: Scene) -> SpreadingSystem | CrawlerSystem:
     if isinstance(scene.matrix, ChainScene):
         return build_chain(scene.matrix, scene.cells)
     matrix = _matrix(scene.matrix, scene.seed) if scene.matrix is not None else None
-    matrix_effects = {n: e for n, e in _ordered(scene.effects) if e.acts_on == "matrix"}
+    effects = {n: e for n, e in _ordered(scene.effects) if e.acts_on != "cell"}
     cells = []
     for k, cell in enumerate(scene.cells, start=1):
         height = cell.radius + START_GAP
@@ -43,11 +43,9 @@ def build(scene: Scene) -> SpreadingSystem | CrawlerSystem:
             sphere(cell.radius, (*cell.position, height)),
             np.array([np.cos(cell.polarity), np.sin(cell.polarity), 0.0]),
         )
-        effects = {
-            n: e for n, e in _ordered({**scene.effects, **cell.effects}) if e.acts_on == "cell"
-        }
-        cells.append(CellSpec(body, effects, cell.commands or scene.commands))
-    return build_spreading(tuple(cells), matrix, matrix_effects, scene.effects["drag"])
+        own = {n: e for n, e in _ordered({**scene.effects, **cell.effects}) if e.acts_on == "cell"}
+        cells.append(CellSpec(body, own, cell.commands or scene.commands))
+    return build_spreading(tuple(cells), matrix, effects, scene.effects["drag"])
 
 
 def _ordered(effects: dict[str, Effect]) -> list[tuple[str, Effect]]:

@@ -23,6 +23,10 @@ class FocalAdhesion(Effect):
 
     name: ClassVar[str] = "focal_adhesion"
     needs: ClassVar[tuple[str, ...]] = ("matrix_elasticity",)
+    not_on: ClassVar[dict[str, str]] = {
+        "chain": "its adhesions are adhesion_lead and adhesion_trail of [[cells]]"
+    }
+    active: ClassVar[bool] = True
     kinetics: str = parameter(
         "clutch", choices=("clutch", "switching"), source="mechanics 2.3-2.4b", about="bond model"
     )

@@ -32,6 +32,7 @@ class Drag(Effect):
 
     name: ClassVar[str] = "drag"
     acts_on: ClassVar[str] = "scene"
+    not_on: ClassVar[dict[str, str]] = {"chain": "its drags are drag of [matrix] and of [[cells]]"}
     cell: float = parameter(
         "1000 pN s/um", "pN s/um", above=0.0, source="thesis code C_c", about="membrane node"
     )
@@ -49,6 +50,9 @@ class MatrixElasticity(Effect):
 
     name: ClassVar[str] = "matrix_elasticity"
     acts_on: ClassVar[str] = "matrix"
+    not_on: ClassVar[dict[str, str]] = {
+        "chain": "its springs are stiffness and stiffening of [matrix]"
+    }
     law: str = parameter(
         "buckling",
         choices=("linear", "buckling", "stiffening"),
@@ -157,6 +161,7 @@ class Foundation(Effect):
 
     name: ClassVar[str] = "foundation"
     acts_on: ClassVar[str] = "matrix"
+    not_on: ClassVar[dict[str, str]] = {"chain": "a chain is held by its two walls only"}
     spring: float = parameter(
         "500 pN/um", "pN/um", least=0.0, source="numerics II.1", about="vertical spring of a node"
     )

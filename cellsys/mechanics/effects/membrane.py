@@ -132,6 +132,7 @@ class MembraneElasticity(Effect):
     """Elastic membrane: springs along edges and areas of triangles, F = -dE/dx."""
 
     name: ClassVar[str] = "membrane_elasticity"
+    not_on: ClassVar[dict[str, str]] = {"chain": "a crawler is two masses and has no membrane"}
     line: float = parameter(
         "100 pN/um", "pN/um", least=0.0, source="numerics II.1", about="edge spring k_l"
     )
@@ -182,6 +183,9 @@ class CorticalTension(Effect):
     """Constant surface tension of the cortex, E = gamma A."""
 
     name: ClassVar[str] = "cortical_tension"
+    not_on: ClassVar[dict[str, str]] = {
+        "chain": "a crawler has no membrane; stiffness of [[cells]] draws it together"
+    }
     tension: float = parameter(
         "150 pN/um", "pN/um", least=0.0, source="numerics II.1", about="surface tension gamma"
     )
@@ -224,6 +228,7 @@ class Volume(Effect):
     """Nearly constant volume, E = K_V (V - V0)^2/(2 V0)."""
 
     name: ClassVar[str] = "volume"
+    not_on: ClassVar[dict[str, str]] = {"chain": "a crawler is two masses and encloses no volume"}
     modulus: float = parameter(
         "300 pN/um^2", "pN/um^2", least=0.0, source="numerics II.1", about="K_V"
     )
@@ -266,6 +271,9 @@ class SubstrateContact(Effect):
     """Soft wall under the cell: F_z = k max(0, gap - z), carried by the rigid support below."""
 
     name: ClassVar[str] = "substrate_contact"
+    not_on: ClassVar[dict[str, str]] = {
+        "chain": "a crawler moves along the chain and does not press on it"
+    }
     stiffness: float = parameter(
         "1000 pN/um", "pN/um", least=0.0, source="mechanics 2.7", about="wall stiffness"
     )

@@ -2,7 +2,7 @@
 
 An *effect* is a frozen dataclass of parameters (unit, bounds, source in the field's metadata).
 Building it gives *elements*: bond-graph elements attached to a junction array (the nodes of a
-cell or of the matrix). An element's port is nodal: eta_e is its force (n_nodes, 3), pN, so its
+cell or of the matrix, or an array that the effect brings along). An element's port is nodal: eta_e is its force (n_nodes, 3), pN, so its
 block of W_eta is I/C and constant, whatever its inner geometry does. Internal states have their
 rates as further blocks of eta.
 """
@@ -10,8 +10,9 @@ rates as further blocks of eta.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -93,18 +94,37 @@ class Effect:
     name : str
         Key in a scene file.
     needs : tuple of str
-        Other effects without which this one has no meaning.
-    acts_on : {"cell", "matrix", "scene"}
-        Whether elements are built per cell, once for the matrix, or the effect only sets
-        constants.
+        Other effects without which this one has no meaning; "a|b" asks for one of the two.
+    excludes : mapping of str to str
+        Effects that contradict this one, each with the rule it would break.
+    not_on : mapping of str to str
+        Kinds of matrix on which the effect has no meaning, each with the reason.
+    acts_on : {"cell", "matrix", "cells", "scene"}
+        Whether elements are built per cell, once for the matrix, once for all cells, or once
+        for all node arrays after everything else.
+    replaces : tuple of str
+        Constants that this effect takes over; "drag.cortex" is the only one.
+    active : bool
+        Whether it can feed energy into the nodes. A passive one only stores and dissipates it.
+    steers : bool
+        Whether the cell needs a polarity.
     """
 
     name: ClassVar[str] = ""
     needs: ClassVar[tuple[str, ...]] = ()
+    excludes: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    not_on: ClassVar[Mapping[str, str]] = MappingProxyType({})
     acts_on: ClassVar[str] = "cell"
+    replaces: ClassVar[tuple[str, ...]] = ()
+    active: ClassVar[bool] = False
+    steers: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_parameters(self)
+
+    def arrays(self, site: Site) -> tuple[JunctionArray, ...]:
+        """Node arrays that this effect adds at one site."""
+        return ()
 
     def elements(self, site: Site) -> tuple[Element, ...]:
         """The bond-graph elements of this effect at one site."""
@@ -113,12 +133,19 @@ class Effect:
 
 @dataclass(frozen=True)
 class Site:
-    """Where an effect is built: a cell (or None) on a matrix (or None)."""
+    """Where an effect is built: a cell (or None) on a matrix (or None).
+
+    `cells` and `arrays` hold all bodies and node arrays of the scene, `built` the elements that
+    stand already: the matrix before the cells, the cells one after the other.
+    """
 
     cell: CellBody | None
     matrix: Disc | None
     commands: Any
     effects: dict[str, Effect]
+    cells: tuple[CellBody, ...] = ()
+    arrays: tuple[JunctionArray, ...] = ()
+    built: tuple[Element, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -128,6 +155,25 @@ class CellBody:
     name: str
     membrane: Membrane
     polarity: np.ndarray
+
+
+class JunctionArray(NamedTuple):
+    """Nodes that share a junction: name, position block (n, 3), start (n, 3), drag (n, 3).
+
+    Drag in pN s/um; inf holds a node in place.
+    """
+
+    name: str
+    block: Block
+    start: np.ndarray
+    drag: np.ndarray
+
+
+class Held(NamedTuple):
+    """Nodes (bool mask) of an array whose motion an element prescribes (a flow source Sf)."""
+
+    array: str
+    nodes: np.ndarray
 
 
 class Port(NamedTuple):
@@ -166,6 +212,8 @@ class Element:
     name: str
     ports: tuple[Port, ...] = ()
     inputs: tuple[Port, ...] = ()  # forces that enter u instead of eta
+    commanded: tuple[Block, ...] = ()  # what is behind those forces, by name
+    holds: tuple[Held, ...] = ()
     internal: tuple[Block, ...] = ()
 
     def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
@@ -173,6 +221,13 @@ class Element:
 
     def force(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
         """Write the exogenous force of each input port, pN, into `out` (already zero)."""
+
+    def flows(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
+        """Write the velocity of the held nodes of each `holds`, um/s, into `out` (n_nodes, 3)."""
+
+    def place(self, t: float) -> tuple[np.ndarray, ...]:
+        """Where the held nodes of each `holds` are at time t, (held nodes, 3) um."""
+        return ()
 
     def energy(self, s: Configuration) -> float:
         """Stored energy, pN um, whose negative gradient the efforts are."""
@@ -197,6 +252,10 @@ class Element:
     ) -> tuple[Event, ...]:
         """Discrete changes of the internal states of `s`, in place."""
         return ()
+
+    def observe(self, s: Configuration) -> dict[str, Any]:
+        """Read-outs of one cell stored with each sample: ``p``, ``d`` (3,), ``amplitude``."""
+        return {}
 
     def initial(self, block: Block) -> np.ndarray:
         """Initial value of an internal state; zeros by default."""

@@ -31,6 +31,11 @@ class Lamellipodium(Effect):
     """Protrusion of the leading sector, an exogenous force [thesis 4.4, eq. 68-70]."""
 
     name: ClassVar[str] = "lamellipodium"
+    active: ClassVar[bool] = True
+    steers: ClassVar[bool] = True
+    not_on: ClassVar[dict[str, str]] = {
+        "chain": "a crawler has no motor, it is driven by the springs it takes up again"
+    }
     force: float = parameter(
         "600 pN", "pN", least=0.0, source="mechanics 2.4b F_L0", about="force of a leading node"
     )
@@ -67,6 +72,10 @@ class LamellipodiumElement(Element):
         self.name = f"{cell.name}.{effect.name}"
         self.array = cell.name
         self.inputs = (Port(cell.name, self.name),)
+        self.commanded = (
+            Block(f"{cell.name}.heading", (3,), "1", "controller", "internal"),
+            Block(f"{cell.name}.amplitude", (), "1", "controller", "internal"),
+        )
         self.polarity = f"{cell.name}.polarity"
         self.bonds = f"{cell.name}.bond_number"
 
@@ -91,6 +100,9 @@ class LamellipodiumElement(Element):
             # Clusters that switch: protrude, bind, then contract [mechanics 2.5].
             out[0][bonds >= 1.0] = 0.0
 
+    def observe(self, s: Configuration) -> dict[str, np.ndarray]:
+        return {"amplitude": np.asarray(self.amplitude(s.t))}
+
     def stop_points(self) -> tuple[float, ...]:
         return self.commands.stop_points()
 
@@ -101,6 +113,10 @@ class Polarity(Effect):
 
     name: ClassVar[str] = "polarity"
     needs: ClassVar[tuple[str, ...]] = ("stiffness_sensing",)
+    steers: ClassVar[bool] = True
+    not_on: ClassVar[dict[str, str]] = {
+        "chain": "a crawler keeps the heading that polarity of [[cells]] gives it"
+    }
     kappa: float = parameter("1/60 1/s", "1/s", least=0.0, source="thesis code kk", about="gain")
 
 
@@ -110,6 +126,10 @@ class StiffnessSensing(Effect):
 
     name: ClassVar[str] = "stiffness_sensing"
     needs: ClassVar[tuple[str, ...]] = ("matrix_elasticity",)
+    steers: ClassVar[bool] = True
+    not_on: ClassVar[dict[str, str]] = {
+        "chain": "in one dimension there is no stiffest direction to look for"
+    }
     measure: str = parameter(
         "stiffness",
         choices=("stiffness", "stress"),
@@ -167,6 +187,9 @@ class PolarityElement(Element):
             self.sensing.reach, self.sensing.threshold,
         )  # fmt: skip
 
+    def observe(self, s: Configuration) -> dict[str, np.ndarray]:
+        return {"p": s.internal[self.name].copy(), "d": self.sensed(s)}
+
     def rates(self, s: Configuration, v: dict[str, np.ndarray], out: tuple) -> None:
         if self.commands.heading is not None:
             h = 1e-3
@@ -192,6 +215,18 @@ class PolarityElement(Element):
         return self.commands.stop_points()
 
 
+def polarity_element(site: Site) -> PolarityElement:
+    """The polarity of the site's cell, which all effects that steer it share."""
+    fibres = next((e for e in site.built if isinstance(e, FibreElement)), None)
+    return PolarityElement(
+        site.cell,
+        site.commands,
+        site.effects.get("polarity"),
+        site.effects.get("stiffness_sensing"),
+        fibres,
+    )
+
+
 def _heading(history: History, t: float) -> np.ndarray:
     angle = history(t)
     return np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -206,6 +241,8 @@ class ExternalLoad(Effect):
 
     name: ClassVar[str] = "external_load"
     acts_on: ClassVar[str] = "matrix"
+    active: ClassVar[bool] = True
+    not_on: ClassVar[dict[str, str]] = {"chain": "a chain is loaded by its cells only"}
     force: float = parameter("1000 pN", "pN", source="scene", about="total force at factor 1")
     direction: float = parameter("0 deg", "rad", source="scene", about="angle in the plane")
     x: float = parameter("0 um", "um", source="scene", about="centre of the patch")
