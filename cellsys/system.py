@@ -339,14 +339,15 @@ def _dm(matrix: sp.csr_array) -> Any:
 class MajorantBlock(NamedTuple):
     """An over-estimate of the tangent: SPD `matrix()` (k, k) on each column of `index` (k, c).
 
-    The c columns (coordinates of the same nodes) share one matrix and one factorisation. `key`
-    changes when the matrix does, and only then is `matrix` called.
+    The c columns (coordinates of the same nodes) share one factorisation. `key` changes with the
+    matrix, and only then is `matrix` called. `factor(matrix)`, if given, returns a solver.
     """
 
     name: str
     index: np.ndarray
     matrix: Callable[[], sp.csc_array]
     key: Any
+    factor: Callable[[sp.csc_array], Callable] | None = None
 
 
 class RankOne(NamedTuple):

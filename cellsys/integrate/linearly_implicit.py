@@ -12,6 +12,7 @@ Pressure of a closed membrane adds a rank-one term by the Woodbury identity.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,6 +84,17 @@ class _Factor:
     solve: Any
 
 
+def _lu(matrix: sp.csc_array) -> Callable[[np.ndarray], np.ndarray]:
+    """SuperLU in its symmetric mode."""
+    factor = spla.splu(
+        sp.csc_matrix(matrix),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    return factor.solve
+
+
 class _ImplicitStepper(Stepper):
     system: OverdampedSystem
 
@@ -121,14 +133,9 @@ class _ImplicitStepper(Stepper):
         matrix = block.matrix()
         if not keep.all():
             matrix = matrix[keep][:, keep]
-        matrix = sp.csc_matrix(matrix + sp.diags_array(self.drag[index[:, 0]] / dt))
-        factor = spla.splu(
-            matrix,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-        return _Factor(index, block.key, dt, factor.solve)
+        matrix = sp.csc_array(matrix + sp.diags_array(self.drag[index[:, 0]] / dt))
+        solve = (block.factor or _lu)(matrix)
+        return _Factor(index, block.key, dt, solve)
 
     def _solve(self, rhs: np.ndarray, low_rank: tuple) -> np.ndarray:
         """(C/dt + M + sum of k g g^T)^-1 rhs by kept factors and the Woodbury identity.

@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
 from scipy.spatial.transform import Rotation
 
+from cellsys.errors import DataError
 from cellsys.laws.fibre import axial
 from cellsys.mechanics import clutch_kernels as clutch_loops
+from cellsys.mechanics.cholesky import SparseCholesky
 from cellsys.mechanics.effects.clutch import SurfaceBins, rim_factor
 from cellsys.mechanics.effects.membrane import area_forces, line_forces
 from cellsys.mechanics.effects.switching import bind_nearest, cluster_loads
@@ -270,3 +274,65 @@ def test_binding_takes_the_nearest_free_node_once():
     assert len(np.unique(expected[new])) == new.sum()
     L = np.linalg.norm(now[expected[new].astype(int)] - x[new], axis=1)
     assert found[new, 1] == pytest.approx(L, abs=1e-9)
+
+
+# Sparse Cholesky
+
+
+def spd(n, seed, density=None):
+    """A random sparse symmetric positive definite matrix, often of several separate parts."""
+    rng = np.random.default_rng(seed)
+    b = sp.random_array((n, n), density=min(1.0, density or 1.5 / n), rng=rng)
+    return sp.csc_array(b @ b.T + 0.1 * sp.eye_array(n))
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 40, 150])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_sparse_cholesky_solves(n, seed):
+    matrix = spd(n, seed)
+    rhs = np.random.default_rng(seed).standard_normal((n, 2))
+    solve = SparseCholesky()(matrix)
+    expected = np.linalg.solve(matrix.toarray(), rhs)
+    # Backward stable: rounding times the condition number, which is below 1e4 here.
+    assert np.allclose(solve(rhs), expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
+    assert np.array_equal(solve(rhs)[:, 1], solve(np.ascontiguousarray(rhs[:, 1])))
+
+
+def test_sparse_cholesky_of_the_disc_agrees_with_superlu_and_stores_half():
+    system = clutch()
+    x = system.x0
+    (block,) = (b for b in system.majorant(0.0, x, 0.5) if b.name == "matrix.xyz coupled")
+    moving = np.isfinite(system.drag()[block.index[:, 0]])
+    matrix = sp.csc_array((block.matrix() + 2000.0 * sp.eye_array(len(moving)))[moving][:, moving])
+    rhs = np.random.default_rng(0).standard_normal(matrix.shape[0])
+    solve = block.factor(matrix)
+    lu = spla.splu(
+        sp.csc_matrix(matrix),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    # Condition number about 100.
+    assert np.allclose(solve(rhs), lu.solve(rhs), rtol=0, atol=1e-12 * np.abs(rhs).max())
+    a = solve.analysis
+    assert a.panel_at[-1] + a.corner_at[-1] < 0.7 * (lu.L.nnz + lu.U.nnz)
+
+
+def test_sparse_cholesky_follows_the_pattern():
+    """The analysis is kept for one pattern and made anew for another one."""
+    factor = SparseCholesky()
+    first, other = spd(60, 0), spd(60, 1)
+    rhs = np.arange(60.0)
+    once = factor(first)
+    again = factor(2.0 * first)
+    assert again.analysis is once.analysis
+    assert np.allclose(again(rhs), 0.5 * once(rhs), rtol=1e-12)
+    assert np.allclose(other @ factor(other)(rhs), rhs, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("bad", [-1.0, np.nan])
+def test_sparse_cholesky_refuses_what_is_not_positive_definite(bad):
+    matrix = spd(20, 3).tolil()
+    matrix[4, 4] = bad
+    with pytest.raises(DataError, match="not positive definite"):
+        SparseCholesky()(sp.csc_array(matrix))
