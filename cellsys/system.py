@@ -339,8 +339,7 @@ def _dm(matrix: sp.csr_array) -> Any:
 class MajorantBlock(NamedTuple):
     """An over-estimate of the tangent: SPD `matrix()` (k, k) on each column of `index` (k, c).
 
-    The c columns (coordinates of the same nodes) share one factorisation. `key` changes with the
-    matrix, and only then is `matrix` called. `factor(matrix)`, if given, returns a solver.
+    `factor(matrix)`, if given, returns a solver for these; `matrix` is called when `key` changes.
     """
 
     name: str
