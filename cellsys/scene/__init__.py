@@ -3,6 +3,7 @@
 from cellsys.scene.build import build
 from cellsys.scene.chain import ChainScene
 from cellsys.scene.ensemble import run_ensemble, run_scene
+from cellsys.scene.inherit import preset_names
 from cellsys.scene.parse import load_scene, scene_schema
 from cellsys.scene.scene import CellScene, MatrixScene, Scene, Training
 from cellsys.scene.training import training_scenes, turning_scenes
@@ -15,6 +16,7 @@ __all__ = [
     "Training",
     "build",
     "load_scene",
+    "preset_names",
     "run_ensemble",
     "run_scene",
     "scene_schema",

@@ -53,8 +53,7 @@ def _ordered(effects: dict[str, Effect]) -> list[tuple[str, Effect]]:
 
     A scene read back from a run folder names its effects in another order than its file did.
     """
-    order = {name: k for k, name in enumerate(EFFECTS)}
-    return sorted(effects.items(), key=lambda item: order.get(item[0], len(order)))
+    return sorted(effects.items(), key=lambda item: EFFECTS.place(item[0]))
 
 
 def matrix_nodes(spec: MatrixScene) -> int:

@@ -22,7 +22,7 @@ from cellsys.mechanics.commands import Commands
 from cellsys.mechanics.crawler import Crawler, CrawlerSystem, build_crawlers, check_places
 from cellsys.mechanics.effects.protocol import Effect
 from cellsys.mechanics.geometry.chain import Chain
-from cellsys.scene.tables import Angle, Count, EffectsTable, Table, Time, amount
+from cellsys.scene.tables import Angle, Count, Extends, Table, Time, amount
 
 # Switch times within 1e-7 s of a reference at 1e-12. LSODA changes to BDF by itself where a small
 # drag of the attached nodes makes the chain stiff, so that one method serves every chain.
@@ -47,20 +47,6 @@ _CRAWLER = {
     "lead": "um",
     "trail_velocity": "um/s",
     "lead_velocity": "um/s",
-}
-_WHY_NOT = {
-    "drag": "its drags are drag of [matrix] and of [[cells]]",
-    "membrane_elasticity": "a crawler is two masses and has no membrane",
-    "volume": "a crawler is two masses and encloses no volume",
-    "cortical_tension": "a crawler has no membrane; stiffness of [[cells]] draws it together",
-    "focal_adhesion": "its adhesions are adhesion_lead and adhesion_trail of [[cells]]",
-    "lamellipodium": "a crawler has no motor, it is driven by the springs it takes up again",
-    "substrate_contact": "a crawler moves along the chain and does not press on it",
-    "matrix_elasticity": "its springs are stiffness and stiffening of [matrix]",
-    "foundation": "a chain is held by its two walls only",
-    "external_load": "a chain is loaded by its cells only",
-    "stiffness_sensing": "in one dimension there is no stiffest direction to look for",
-    "polarity": "a crawler keeps the heading that polarity of [[cells]] gives it",
 }
 
 
@@ -99,12 +85,13 @@ _CrawlerTable = create_model(
 class ChainSceneTable(Table):
     """A scene on a chain."""
 
+    extends: Extends = None
     name: Annotated[str, Field(min_length=1)]
     duration: Time
     sample: Time = 0.1
     matrix: _ChainTable  # type: ignore[valid-type]
     cells: list[_CrawlerTable]  # type: ignore[valid-type]
-    effects: EffectsTable = EffectsTable()  # type: ignore[valid-type]
+    effects: dict[str, Any] = Field(default_factory=dict)
 
 
 def chain_parts(parsed: Any) -> tuple[ChainScene, tuple[Crawler, ...]]:
@@ -142,8 +129,8 @@ def check_chain(
         raise SceneError(
             "; ".join(
                 f"effects.{name} has no meaning with matrix.kind = 'chain': "
-                + _WHY_NOT.get(name, "a crawler's laws are fixed")
-                for name in effects
+                + effect.not_on.get("chain", "a crawler's laws are fixed")
+                for name, effect in effects.items()
             )
         )
     if commands.heading or commands.amplitude:

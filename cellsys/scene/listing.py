@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from cellsys.mechanics.commands import History
 from cellsys.mechanics.crawler import CrawlerSystem
 from cellsys.scene.build import build
 from cellsys.scene.parse import load_scene
@@ -18,9 +17,9 @@ def effect_table() -> list[dict[str, str]]:
     for name, effect in EFFECTS.items():
         needs = ", ".join(effect.needs)
         for item in dataclasses.fields(effect):
-            if isinstance(item.default, History):
-                continue
             meta = item.metadata
+            if "unit" not in meta:
+                continue
             rows.append(
                 {
                     "effect": name,

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from cellsys.errors import CellsysError, SceneError
+from cellsys.errors import CellsysError, ParameterError, SceneError
 from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.crawler import Crawler
 from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.chain import ChainScene, ChainSceneTable, chain_parts
-from cellsys.scene.registry import EFFECTS
+from cellsys.scene.inherit import find_scene, inherited, read_table
+from cellsys.scene.registry import Registry
 from cellsys.scene.scene import (
     CellScene,
     Gradient,
@@ -23,60 +24,99 @@ from cellsys.scene.scene import (
     Scene,
     Training,
 )
-from cellsys.scene.tables import CommandsTable, DiscSceneTable, DiscTable, Table, explain
+from cellsys.scene.schema import for_editors
+from cellsys.scene.tables import (
+    CommandsTable,
+    DiscSceneTable,
+    DiscTable,
+    Table,
+    effects_table,
+    explain,
+    with_effects,
+)
 
 KINDS: dict[str, type[Table]] = {"disc": DiscSceneTable, "chain": ChainSceneTable}
 
 
-def scene_schema() -> dict[str, Any]:
-    """JSON schema of a scene file, for editors."""
-    return TypeAdapter(DiscSceneTable | ChainSceneTable).json_schema()
+@lru_cache(maxsize=64)
+def _kinds(names: tuple[str, ...], chosen: tuple[type[Effect], ...]) -> dict[str, type[Table]]:
+    table = effects_table(names, chosen)
+    return {kind: with_effects(scene, table) for kind, scene in KINDS.items()}
 
 
-def load_scene(path: str | Path) -> Scene:
-    """Read a scene file (TOML).
+def scene_schema(effects: Iterable[type[Effect]] = ()) -> dict[str, Any]:
+    """JSON schema of a scene file, for editors; `effects` as in `load_scene`."""
+    registry = Registry(effects)
+    kinds = _kinds(tuple(registry), tuple(registry.values()))
+    return for_editors(TypeAdapter(kinds["disc"] | kinds["chain"]).json_schema())
+
+
+def load_scene(path: str | Path, *, effects: Iterable[type[Effect]] = ()) -> Scene:
+    """Read a scene file (TOML), or a preset by its name.
+
+    Parameters
+    ----------
+    path : path or str
+        A file, or one of `cellsys.scene.preset_names()`; a file of that name comes first.
+    effects : iterable of Effect classes
+        Effects of your own that the scene may name.
 
     Raises
     ------
     SceneError
         With the file's name, the key, the value and the cure.
     FileNotFoundError
-        When there is no such file.
+        When there is neither such a file nor such a preset.
     """
-    source = Path(path)
+    source = find_scene(path)
+    table = read_table(source)
     try:
-        table = tomllib.loads(source.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FileNotFoundError(f"no scene file {str(source)!r}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"{source.name}: not a TOML file: {error}") from error
-    except OSError as error:
-        raise SceneError(f"{source.name}: cannot be read: {error}") from error
-    except RecursionError as error:
-        raise SceneError(f"{source.name}: nested too deeply") from error
-    try:
-        return parse_scene(table)
+        return parse_scene(table, effects=effects, folder=source.parent)
     except SceneError as error:
         raise SceneError(f"{source.name}: {error}") from error
 
 
-def parse_scene(table: Mapping[str, Any]) -> Scene:
-    """A `Scene` from a mapping shaped like a scene file; see `load_scene` for the errors."""
+def parse_scene(
+    table: Mapping[str, Any],
+    *,
+    effects: Iterable[type[Effect]] = (),
+    folder: Path | None = None,
+) -> Scene:
+    """A `Scene` from a mapping shaped like a scene file; see `load_scene` for the errors.
+
+    `folder` is where a file named by ``extends`` is looked for; default the working directory.
+    """
+    table = inherited(table, Path() if folder is None else folder)
     matrix = table.get("matrix")
     kind = "chain" if isinstance(matrix, Mapping) and matrix.get("kind") == "chain" else "disc"
     try:
-        parsed: Any = KINDS[kind].model_validate(dict(table))
+        registry = Registry(effects)
+        named = [n for n in _named_effects(table) if n in registry]
+        known = registry.names(named)
+        kinds = _kinds(known, tuple(registry[name] for name in named))
+        parsed: Any = kinds[kind].model_validate(dict(table))
     except ValidationError as error:
-        raise SceneError("; ".join(explain(i, KINDS, kind) for i in error.errors())) from error
+        raise SceneError("; ".join(explain(i, kinds, kind) for i in error.errors())) from error
+    except ParameterError as error:
+        raise SceneError(str(error)) from error
     try:
-        return _chain_scene(parsed) if kind == "chain" else _scene(parsed)
+        return _chain_scene(parsed, registry) if kind == "chain" else _scene(parsed, registry)
     except SceneError:
         raise
     except CellsysError as error:
         raise SceneError(str(error)) from error
 
 
-def _scene(parsed: DiscSceneTable) -> Scene:
+def _named_effects(table: Mapping[str, Any]) -> list[str]:
+    """Names under [effects] and under the effects of any cell, each once."""
+    cells = table.get("cells")
+    places = [table, *(cells if isinstance(cells, list) else ())]
+    tables = [p.get("effects") for p in places if isinstance(p, Mapping)]
+    names = {name: None for t in tables if isinstance(t, Mapping) for name in t}
+    return [name for name in names if isinstance(name, str)]
+
+
+def _scene(parsed: Any, registry: Registry) -> Scene:
     for name, value, least in (
         ("seed", parsed.seed, 0),
         ("training.runs", parsed.training.runs, 1),
@@ -100,18 +140,18 @@ def _scene(parsed: DiscSceneTable) -> Scene:
                 position=c.position,
                 polarity=c.polarity,
                 radius=c.radius,
-                effects=_effects(c.effects) if c.effects is not None else {},
+                effects=_effects(c.effects, registry) if c.effects is not None else {},
                 commands=_commands(c.commands) if c.commands is not None else None,
             )
             for c in parsed.cells
         ),
-        effects=_effects(parsed.effects),
+        effects=_effects(parsed.effects, registry),
         commands=_commands(parsed.commands),
         training=Training(**parsed.training.model_dump()),
     )
 
 
-def _chain_scene(parsed: Any) -> Scene:
+def _chain_scene(parsed: Any, registry: Registry) -> Scene:
     matrix, cells = chain_parts(parsed)
     return Scene(
         name=parsed.name,
@@ -119,7 +159,7 @@ def _chain_scene(parsed: Any) -> Scene:
         sample=parsed.sample,
         matrix=matrix,
         cells=cells,
-        effects=_effects(parsed.effects),
+        effects=_effects(parsed.effects, registry),
     )
 
 
@@ -154,14 +194,14 @@ def _matrix(table: DiscTable | None) -> MatrixScene | None:
     )
 
 
-def _effects(table: BaseModel) -> dict[str, Effect]:
+def _effects(table: BaseModel, registry: Registry) -> dict[str, Effect]:
     effects = {}
-    for name in EFFECTS:
+    for name in sorted(table.model_fields_set, key=registry.place):
         values = getattr(table, name)
         if values is None:
             continue
         given = {k: getattr(values, k) for k in type(values).model_fields}
-        effects[name] = _effect(EFFECTS[name], given)
+        effects[name] = _effect(registry[name], given)
     return effects
 
 
@@ -188,8 +228,14 @@ def _commands(table: CommandsTable) -> Commands:
     )
 
 
-def scene_from_plain(table: Mapping[str, Any]) -> Scene:
-    """A scene from what `Scene.canonical` gave (values in internal units)."""
+def scene_from_plain(
+    table: Mapping[str, Any], *, effects: Iterable[type[Effect]] = ()
+) -> Scene:
+    """A scene from what `Scene.canonical` gave (values in internal units).
+
+    `effects` are those of a script that the scene names.
+    """
+    registry = Registry(effects)
 
     def history(value: Any) -> History | None:
         return None if value is None else History(tuple(value["times"]), tuple(value["values"]))
@@ -199,16 +245,16 @@ def scene_from_plain(table: Mapping[str, Any]) -> Scene:
             return None
         return Commands(history(value["heading"]), history(value["amplitude"]))
 
-    def effects(values: Mapping[str, Any]) -> dict[str, Effect]:
+    def made(values: Mapping[str, Any]) -> dict[str, Effect]:
         return {name: effect(given) for name, given in values.items()}
 
     def effect(given: Mapping[str, Any]) -> Effect:
-        fields = {k: v for k, v in given.items() if k != "effect"}
+        fields = {k: v for k, v in given.items() if k not in ("effect", "origin")}
         if isinstance(fields.get("history"), Mapping):
             fields["history"] = history(fields["history"])
         if "patches" in fields:
             fields["patches"] = tuple(effect(p) for p in fields["patches"])
-        return EFFECTS[given["effect"]](**fields)
+        return registry[given["effect"]](**fields)
 
     matrix = table["matrix"]
     chain = matrix is not None and matrix["kind"] == "chain"
@@ -227,7 +273,7 @@ def scene_from_plain(table: Mapping[str, Any]) -> Scene:
             tuple(c["position"]),
             c["polarity"],
             c["radius"],
-            effects(c["effects"]),
+            made(c["effects"]),
             commands(c["commands"]),
         )
         for c in table["cells"]
@@ -236,7 +282,7 @@ def scene_from_plain(table: Mapping[str, Any]) -> Scene:
         name=table["name"],
         duration=table["duration"],
         sample=table["sample"],
-        effects=effects(table["effects"]),
+        effects=made(table["effects"]),
         cells=cells,
         matrix=matrix,
         commands=commands(table["commands"]) or Commands(),

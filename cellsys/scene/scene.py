@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +14,8 @@ from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.crawler import Crawler
 from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.chain import ChainScene, check_chain
+from cellsys.scene.compatibility import check_effects
+from cellsys.scene.registry import source_of
 from cellsys.store.hashing import fingerprint
 
 _MOST_SAMPLES = 1e7  # their times alone are 80 MB, their states of any scene beyond every memory
@@ -127,11 +129,14 @@ class Scene:
     step: float = 0.5
 
     @staticmethod
-    def parse(table: Mapping[str, Any]) -> Scene:
-        """A scene from a mapping shaped like a scene file (quantities as strings with units)."""
+    def parse(table: Mapping[str, Any], *, effects: Iterable[type[Effect]] = ()) -> Scene:
+        """A scene from a mapping shaped like a scene file (quantities as strings with units).
+
+        `effects` are classes of your own that the table may name beside the shipped ones.
+        """
         from cellsys.scene.parse import parse_scene
 
-        return parse_scene(table)
+        return parse_scene(table, effects=effects)
 
     def __post_init__(self) -> None:
         for name in ("duration", "sample", "step"):
@@ -162,24 +167,7 @@ class Scene:
         self._check_places()
 
     def _check_effects(self) -> None:
-        for index, cell in enumerate(self.cells or (CellScene(),)):
-            present = {**self.effects, **cell.effects}
-            where = f"cells[{index}].effects" if cell.effects else "effects"
-            for name, effect in present.items():
-                for need in effect.needs:
-                    if need not in present:
-                        raise SceneError(f"{where}.{name} needs {need}; add {need} = {{}} to it")
-                if effect.acts_on == "cell" and not self.cells:
-                    raise SceneError(
-                        f"effects.{name} acts on a cell, and the scene has no [[cells]]"
-                    )
-                if effect.acts_on == "matrix" and self.matrix is None:
-                    raise SceneError(f"effects.{name} acts on the matrix, and there is no [matrix]")
-            for name, effect in cell.effects.items():
-                if effect.acts_on != "cell":
-                    raise SceneError(
-                        f"{where}.{name} does not act on a single cell; move it to [effects]"
-                    )
+        check_effects(self.effects, [c.effects for c in self.cells], self.matrix is not None)
         if (
             self.commands.heading or self.commands.amplitude
         ) and "lamellipodium" not in self.effects:
@@ -238,7 +226,8 @@ def _version() -> str:
 def _plain(value: Any) -> Any:
     if isinstance(value, Effect):
         fields = {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-        return {"effect": value.name, **fields}
+        origin = source_of(type(value))
+        return {"effect": value.name, **({"origin": origin} if origin else {}), **fields}
     if isinstance(value, History):
         return {"times": list(value.times), "values": list(value.values)}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import lru_cache
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, create_model
 
 from cellsys.mechanics.commands import History
 from cellsys.mechanics.effects.protocol import Effect
-from cellsys.scene.registry import EFFECTS
 from cellsys.units import quantity
 
 
@@ -55,6 +55,11 @@ _AngleHistory = _history("rad", "HeadingHistory")
 _FactorHistory = _history("1", "FactorHistory")
 
 
+Extends = Annotated[
+    str | None, Field(description="preset or scene file (toml) that this scene changes")
+]
+
+
 class CommandsTable(Table):
     """Prescribed heading and amplitude."""
 
@@ -62,6 +67,7 @@ class CommandsTable(Table):
     amplitude: _FactorHistory | None = None  # type: ignore[valid-type]
 
 
+@lru_cache(maxsize=256)
 def _effect_table(effect: type[Effect]) -> type[BaseModel]:
     fields: dict[str, Any] = {}
     for item in dataclasses.fields(effect):
@@ -77,17 +83,21 @@ def _effect_table(effect: type[Effect]) -> type[BaseModel]:
             Field(default=None, description=f"{meta['about']} [{meta['unit']}] ({meta['source']})"),
         )
     table = create_model(f"{effect.__name__}Table", __base__=Table, **fields)
+    table.__doc__ = (effect.__doc__ or effect.name).strip().split("\n")[0]
     if any(item.name == "patches" for item in dataclasses.fields(effect)):
         # Further ones of the same kind, which act together with the first.
         table = create_model(f"{effect.__name__}sTable", __base__=table, patches=(list[table], []))
     return table
 
 
-EffectsTable = create_model(
-    "EffectsTable",
-    __base__=Table,
-    **{name: (_effect_table(effect) | None, None) for name, effect in EFFECTS.items()},
-)
+def effects_table(names: Iterable[str], chosen: Iterable[type[Effect]]) -> type[Table]:
+    """[effects] that knows all `names` and can read the `chosen` effects.
+
+    The tables of effects that a scene does not name are not made, nor their files imported.
+    """
+    fields: dict[str, Any] = {name: (Any, None) for name in names}
+    fields |= {effect.name: (_effect_table(effect) | None, None) for effect in chosen}
+    return create_model("EffectsTable", __base__=Table, **fields)
 
 
 class _InclusionTable(Table):
@@ -124,7 +134,7 @@ class _CellTable(Table):
     position: tuple[_Length, _Length] = (0.0, 0.0)
     polarity: Angle = 0.0
     radius: _Length = 8.0
-    effects: EffectsTable | None = None  # type: ignore[valid-type]
+    effects: dict[str, Any] | None = None
     commands: CommandsTable | None = None
 
 
@@ -141,6 +151,7 @@ class _TrainingTable(Table):
 class DiscSceneTable(Table):
     """A scene with a disc, or without a matrix."""
 
+    extends: Extends = None
     name: Annotated[str, Field(min_length=1)]
     duration: Time
     sample: Time = 5.0
@@ -148,9 +159,20 @@ class DiscSceneTable(Table):
     seed: Count = 0
     matrix: DiscTable | None = None
     cells: list[_CellTable] = []
-    effects: EffectsTable = EffectsTable()  # type: ignore[valid-type]
+    effects: dict[str, Any] = Field(default_factory=dict)
     commands: CommandsTable = CommandsTable()
     training: _TrainingTable = _TrainingTable()
+
+
+def with_effects(scene: type[Table], effects: type[Table]) -> type[Table]:
+    """A scene table whose [effects], and those of its cells, are read by `effects`."""
+    fields: dict[str, Any] = {"effects": (effects, effects())}
+    (cell,) = _models(scene.model_fields["cells"].annotation)
+    if "effects" in cell.model_fields:
+        name = cell.__name__.lstrip("_")
+        cell = create_model(name, __base__=cell, effects=(effects | None, None))
+        fields["cells"] = (list[cell], [])
+    return create_model(scene.__name__, __base__=scene, **fields)
 
 
 def _known_keys(location: tuple, scene: type[Table]) -> list[str]:

@@ -13,8 +13,9 @@ import numpy as np
 
 from cellsys.errors import SceneError
 from cellsys.mechanics.commands import Commands, History
-from cellsys.mechanics.effects.steering import ExternalLoad
+from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.chain import ChainScene
+from cellsys.scene.registry import EFFECTS
 from cellsys.scene.scene import Scene, Training
 
 TURN = np.radians(80.0)  # greatest change of heading at once, rad
@@ -147,8 +148,8 @@ def _steps(changes: list[float], values: list[float]) -> History:
     return History(tuple(times), tuple(knots))
 
 
-def _loads(scene: Scene, rng: np.random.Generator) -> ExternalLoad:
-    reach = 0.65 * 0.5 * scene.matrix.diameter
+def _loads(scene: Scene, rng: np.random.Generator) -> Effect:
+    kind, reach = EFFECTS["external_load"], 0.65 * 0.5 * scene.matrix.diameter
     patches = []
     for _ in range(PATCHES):
         radius, angle = reach * np.sqrt(rng.uniform()), rng.uniform(0.0, 2.0 * np.pi)
@@ -157,7 +158,7 @@ def _loads(scene: Scene, rng: np.random.Generator) -> ExternalLoad:
         times = np.arange(0.0, scene.training.duration + period / 12, period / 12)
         wave = np.sin(2.0 * np.pi * times / period + phase) * np.minimum(1.0, times / 100.0)
         patches.append(
-            ExternalLoad(
+            kind(
                 force=rng.uniform(*LOAD),
                 direction=rng.uniform(0.0, 2.0 * np.pi),
                 x=radius * np.cos(angle),

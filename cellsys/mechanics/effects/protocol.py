@@ -2,9 +2,9 @@
 
 An *effect* is a frozen dataclass of parameters (unit, bounds, source in the field's metadata).
 Building it gives *elements*: bond-graph elements attached to a junction array (the nodes of a
-cell or of the matrix, or an array that the effect brings along). An element's port is nodal: eta_e is its force (n_nodes, 3), pN, so its
-block of W_eta is I/C and constant, whatever its inner geometry does. Internal states have their
-rates as further blocks of eta.
+cell, of the matrix, or of an array that the effect brings along). An element's port is nodal:
+eta_e is its force (n_nodes, 3), pN, so its block of W_eta is I/C and constant, whatever its inner
+geometry does. Internal states have their rates as further blocks of eta.
 """
 
 from __future__ import annotations
