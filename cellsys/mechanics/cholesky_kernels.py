@@ -55,7 +55,7 @@ def column_rows(indptr, indices, parent, start, rows):
                 i = parent[i]
 
 
-@compiled(reassociate=True)
+@compiled(vector=True)
 def factorise(
     values, source, target, entries, first, start, rows, place, children, front, stack,
     panels, panel_at, corners, corner_at,
@@ -142,7 +142,7 @@ def _before(children, s):
     return s
 
 
-@compiled(reassociate=True)
+@compiled(vector=True)
 def solve(order, first, start, rows, panels, panel_at, corners, corner_at, rhs, work, out):
     """out = A^-1 rhs by the panels B^T S and corners S of `factorise`; work: (2 n,)."""
     n = order.size

@@ -9,17 +9,19 @@ from typing import Any
 import numba
 
 
-def compiled(function: Callable | None = None, *, reassociate: bool = False) -> Any:
+def compiled(function: Callable | None = None, *, vector: bool = False) -> Any:
     """Compile on first call; keep the machine code on disk, or do without on a read-only system.
 
-    `reassociate` lets sums be formed in the order that suits vector units (and products be fused
-    into them); NaN and inf keep their meaning.
+    `vector` lets loops use the vector units: sums in any order, products fused into them, and a
+    division by zero that gives inf, as in numpy, instead of an exception.
     """
     if function is None:
-        return partial(compiled, reassociate=reassociate)
-    fastmath = {"reassoc", "contract", "nsz"} if reassociate else False
+        return partial(compiled, vector=vector)
+    options: dict[str, Any] = {}
+    if vector:
+        options = {"fastmath": {"reassoc", "contract", "nsz"}, "error_model": "numpy"}
     try:
-        return numba.njit(cache=True, fastmath=fastmath)(function)
+        return numba.njit(cache=True, **options)(function)
     except RuntimeError:
         # numba finds no writable directory for its cache.
-        return numba.njit(fastmath=fastmath)(function)
+        return numba.njit(**options)(function)
