@@ -39,6 +39,21 @@ from .mechanics.commands import Commands, History
 from .mechanics.crawler import Crawler, CrawlerSystem, build_crawlers
 from .mechanics.crawler_run import CrawlRun, crawl
 from .observe import contact_radius, node_speed, summary_of_run
+from .population import (
+    CoupledCells,
+    CoupledStability,
+    Feedback,
+    ForceMap,
+    InteractionGraph,
+    MappedSuperposition,
+    P_c,
+    P_F_phi,
+    P_phi,
+    PoleSet,
+    Superposition,
+    couple,
+    fit_P_map,
+)
 from .reduction import (
     PCR,
     Basis,

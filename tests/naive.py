@@ -139,3 +139,27 @@ def positive_sign_margin(point):
     B[m, 0] = point.kappa
     C = np.concatenate([point.S_heading, [-point.strength]])[None]
     return margins(control.ss(A, B, C, np.zeros((1, 1)), 0)).gain_margin
+
+
+def kronecker_coupling(form, A, P, K, R=None, weights=None):
+    """The printed K-cell matrix by Kronecker products and a dense pseudo-inverse (K <= 20)."""
+    import numpy as np
+
+    m = len(A)
+    if K > 20:
+        raise ValueError("the Kronecker assembly is for K <= 20")
+    w = np.ones((K, K)) - np.eye(K) if weights is None else weights
+    R = np.eye(m) if R is None else R
+    left = np.kron(np.eye(K), A) + np.kron(w, R @ P @ A)
+    if form == "Feedback":
+        return left
+    N = np.eye(K * m) + np.kron(w, P)
+    return left @ np.linalg.pinv(N)
+
+
+def dense_coupled_poles(model, K):
+    """Poles of [36] in doubles: a dense pseudo-inverse with its relative cut-off, and eig."""
+    import numpy as np
+
+    V_phi = model.V[model.blocks["field"]]
+    return np.linalg.eigvals(kronecker_coupling("Superposition", model.A, V_phi.T @ V_phi, K))

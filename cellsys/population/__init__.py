@@ -1,0 +1,27 @@
+"""K cells on one shared field: printed couplings, load ports, modal split, interaction graph."""
+
+from cellsys.population.cells import CoupledCells
+from cellsys.population.couple import couple
+from cellsys.population.forms import Feedback, MappedSuperposition, Superposition
+from cellsys.population.graph import InteractionGraph
+from cellsys.population.maps import ForceMap, P_c, P_F_phi, P_phi, fit_P_map
+from cellsys.population.poleset import PoleSet
+from cellsys.population.split import FieldSplit
+from cellsys.population.verdict import CoupledStability
+
+__all__ = [
+    "CoupledCells",
+    "CoupledStability",
+    "Feedback",
+    "FieldSplit",
+    "ForceMap",
+    "InteractionGraph",
+    "MappedSuperposition",
+    "P_F_phi",
+    "P_c",
+    "P_phi",
+    "PoleSet",
+    "Superposition",
+    "couple",
+    "fit_P_map",
+]

@@ -1,0 +1,391 @@
+"""`CoupledCells`: K identical cells on one matrix as one linear system with its poles.
+
+    route       when
+    modal       every cell meets every other with one weight: two blocks, any K
+    graph       symmetric weights: one block per eigenvalue (master stability function)
+    dense       anything else with K m <= 4000
+    matrix-free anything else: simulate() and rightmost() only
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.drawable import Drawable
+from cellsys.errors import BudgetError
+from cellsys.population.dense import dense_block
+from cellsys.population.forms import Block, eigenvalues_of_N
+from cellsys.population.graph import InteractionGraph
+from cellsys.population.maps import field_rows
+from cellsys.population.modes import Modes, modes_of
+from cellsys.population.poleset import PoleSet, pole_set
+from cellsys.population.split import FieldSplit, field_split
+
+DENSE_LIMIT = 4000
+POLE_LIMIT = 1_000_000
+_STIFF = 1e-3  # smallest 1 - lambda for which the printed form loses less than 1e-10 to rounding
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledCells(Drawable):
+    """K identical cells coupled through the rows of V that belong to the matrix.
+
+    Made by `couple`. Emergent latent states are z = N z_isolated + offset for the superposition
+    forms; `Feedback` starts from the isolated ones.
+
+    Attributes
+    ----------
+    model : LatentModel
+    n_cells : int
+    coupling : Superposition, MappedSuperposition or Feedback
+    graph : InteractionGraph or None
+        None: every cell meets every other with weight 1.
+    positions : (K, 2) or (K, 3) or None
+        um; they act through the graph only.
+    headings : (K,)
+        Polarity angles at the start, rad.
+    loop : ClosedLoop or None
+        Controller and sensor of every cell; None when the model has no headings or no sensor.
+    """
+
+    model: Any
+    n_cells: int
+    coupling: Any
+    graph: InteractionGraph | None
+    positions: np.ndarray | None
+    headings: np.ndarray
+    loop: Any
+
+    _figure: ClassVar[str] = "coupled_cells"
+
+    # Parts
+
+    @property
+    def order(self) -> int:
+        """m of one cell."""
+        return self.model.order
+
+    @cached_property
+    def matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(A, B, b) of one isolated cell in continuous time."""
+        return self.model.continuous_matrices()
+
+    @cached_property
+    def field(self) -> np.ndarray:
+        """Row indices of V that count as matrix."""
+        return field_rows(self.model, self.coupling.rows, self.coupling.name)
+
+    @cached_property
+    def rank(self) -> FieldSplit:
+        """The rank decision: what counts as purely matrix, what is not determined."""
+        return field_split(self.model, self.field, self.coupling.rank_tol, self.coupling.name)
+
+    @cached_property
+    def modes(self) -> Modes | None:
+        """The split of the interaction; None on the dense and matrix-free routes."""
+        return modes_of(self.n_cells, self.graph)
+
+    @cached_property
+    def route(self) -> str:
+        """Which route is taken, and why."""
+        K, m = self.n_cells, self.order
+        if self.graph is None or self.graph.uniform is not None:
+            return "modal: every cell meets every other alike, one mean and one difference block"
+        if self.graph.symmetric:
+            return f"graph: symmetric weights, {K} blocks (master stability function)"
+        if K * m <= DENSE_LIMIT:
+            return f"dense: weights are not symmetric, K m = {K * m} <= {DENSE_LIMIT}"
+        return f"matrix-free: weights are not symmetric and K m = {K * m} > {DENSE_LIMIT}"
+
+    def _refuse_matrix_free(self, what: str, works: str) -> None:
+        if self.route.startswith("matrix-free"):
+            raise BudgetError(
+                f"{what} needs the dense route, limited to K m <= {DENSE_LIMIT}, and K m = "
+                f"{self.n_cells * self.order} with weights that are not symmetric; {works}, or "
+                "make the weights symmetric (graph route)"
+            )
+
+    # Blocks
+
+    @cached_property
+    def _rotate(self) -> bool:
+        """Whether x lives in the basis W: a direction is dropped somewhere, or R is not I."""
+        if not self.coupling.inverted():
+            return False
+        if self.coupling.extra(self.order) is not None:
+            return True
+        return not self._kept_mask().all()
+
+    def _kept_mask(self, *, drop: bool = False) -> np.ndarray:
+        """(n, m): which directions of N are kept for each eigenvalue of the interaction."""
+        masks = []
+        for omega in self.modes.omega:
+            N, zero = eigenvalues_of_N(self.rank, float(omega), drop=drop)
+            masks.append(np.abs(N) > zero)
+        return np.array(masks)
+
+    def blocks(self, *, drop: bool = False) -> list[Block]:
+        """Every block of the split, in the order of `modes.omega`; one on the dense route."""
+        self._refuse_matrix_free("blocks()", "simulate() works")
+        A = self.matrices[0]
+        if self.modes is None:
+            return [dense_block(self.coupling, self.rank, A, self.graph, drop=drop)]
+        rotate = self._rotate or drop
+        return [
+            self.coupling.block(self.rank, A, float(w), rotate=rotate, drop=drop)
+            for w in self.modes.omega
+        ]
+
+    @cached_property
+    def _kept_blocks(self) -> list[Block]:
+        return self.blocks()
+
+    def _multiplicity(self) -> np.ndarray:
+        return np.ones(1, dtype=np.int64) if self.modes is None else self.modes.multiplicity
+
+    def distinct(self, *, drop: bool) -> list[tuple[np.ndarray, int, int, float]]:
+        """(matrix without its dropped directions, multiplicity, dropped, omega); equal ones joined.
+
+        Superposition's blocks are all A where nothing is dropped, and one compression of A where
+        the same directions are: they are worked out once.
+        """
+        form, split = self.coupling, self.rank
+        if self.modes is None or form.extra(self.order) is not None or not form.inverted():
+            found = self.blocks(drop=True) if drop else self._kept_blocks
+            n = self._multiplicity()
+            return [
+                (b.M[np.ix_(b.kept, b.kept)], int(k), b.dropped, b.omega)
+                for b, k in zip(found, n, strict=True)
+            ]
+        groups: dict[bytes, list] = {}
+        for mask, n, w in zip(
+            self._kept_mask(drop=drop), self.modes.multiplicity, self.modes.omega, strict=True
+        ):
+            groups.setdefault(mask.tobytes(), [mask, 0, []])
+            groups[mask.tobytes()][1] += int(n)
+            groups[mask.tobytes()][2].append(float(w))
+        A = self.matrices[0]
+        A_w = None
+        out = []
+        for mask, n, omegas in groups.values():
+            if mask.all():
+                M = A
+            else:
+                A_w = split.W.T @ A @ split.W if A_w is None else A_w
+                M = A_w[np.ix_(mask, mask)]
+            out.append((M, n, int((~mask).sum()), omegas[0] if len(omegas) == 1 else np.nan))
+        return out
+
+    @cached_property
+    def doubtful(self) -> np.ndarray:
+        """|N| of the directions kept that the data do not determine, over all blocks."""
+        if not self.coupling.inverted():
+            return np.zeros(0)
+        if self.modes is None:
+            return self._kept_blocks[0].doubtful
+        found = []
+        for omega in self.modes.omega:
+            N, zero = eigenvalues_of_N(self.rank, float(omega))
+            low = eigenvalues_of_N(self.rank, float(omega), drop=True)[1]
+            found.append(np.abs(N[(np.abs(N) > zero) & (np.abs(N) < low)]))
+        return np.concatenate(found)
+
+    # Poles
+
+    def _poles_of(self, *, drop: bool) -> PoleSet:
+        parts, dropped = [], 0
+        for M, n, zeros, omega in self.distinct(drop=drop):
+            values = sla.eigvals(M) if len(M) else np.zeros(0)
+            if not drop:
+                self._eigenvalues.append(values)
+            parts.append((values, n, omega))
+            if zeros:
+                parts.append((np.zeros(1), zeros * n, omega))
+                dropped += zeros * n
+        alternative = None
+        note = f"{self.coupling.name}, {self.route.split(':')[0]} route"
+        if dropped:
+            note += f"; {dropped} zero poles of purely matrix directions"
+        if not drop and self.doubtful.size:
+            alternative = self._poles_of(drop=True)
+            note += f"; not determined by the data: {self.describe_doubt()}"
+        return pole_set(parts, note, alternative)
+
+    def describe_doubt(self) -> str:
+        """The doubtful values in words."""
+        d = np.unique(self.doubtful)
+        shown = ", ".join(f"{v:.1e}" for v in d[:4]) + (", ..." if d.size > 4 else "")
+        return f"|1 + omega lambda| = {shown} lies below 1e-07"
+
+    @cached_property
+    def _eigenvalues(self) -> list[np.ndarray]:
+        return []
+
+    def eigenvalues(self) -> list[np.ndarray]:
+        """Eigenvalues of each matrix of `distinct(drop=False)`, in its order."""
+        self.pole_set()
+        return self._eigenvalues
+
+    @cached_property
+    def _poles(self) -> PoleSet:
+        self._refuse_matrix_free("pole_set()", "rightmost() gives the rightmost ones of Feedback")
+        return self._poles_of(drop=False)
+
+    def pole_set(self) -> PoleSet:
+        """Distinct poles with multiplicities, for any K; both sets where data do not decide.
+
+        Raises
+        ------
+        BudgetError
+            On the matrix-free route.
+        """
+        return self._poles
+
+    def poles(self) -> np.ndarray:
+        """Every pole (K m,), 1/s, by falling real part.
+
+        Raises
+        ------
+        BudgetError
+            When K m > 1e6 (`pole_set` has them with multiplicities), or on the matrix-free route.
+        """
+        self._refuse_matrix_free("poles()", "rightmost() gives the rightmost ones of Feedback")
+        if self.n_cells * self.order > POLE_LIMIT:
+            raise BudgetError(
+                f"K m = {self.n_cells * self.order} poles are more than {POLE_LIMIT}; pole_set() "
+                "gives the distinct ones with their multiplicities for any K"
+            )
+        return self._poles.expanded()
+
+    def limit_poles(self) -> np.ndarray:
+        """Poles of the mean block as K grows, all cells alike.
+
+        Superposition: eig(A). MappedSuperposition: eig(P^-1 R P A), reached as O(1/K). Feedback:
+        eig(R P A), reached after division by K - 1.
+
+        Raises
+        ------
+        ParameterError
+            MappedSuperposition with a singular P: its poles in general grow like K.
+        """
+        from cellsys.population.limits import limit_poles
+
+        return limit_poles(self)
+
+    # Stability
+
+    def stability(self) -> Any:
+        """Verdict block by block, with the error bounds of the poles; integrators set apart."""
+        from cellsys.population.verdict import stability_of
+
+        self._refuse_matrix_free("stability()", "rightmost() works for Feedback")
+        return stability_of(self)
+
+    # What other files of the room do with it
+
+    def plant(self, coordinates: str | None = None) -> Any:
+        """The whole as a named `control.StateSpace` (dt = 0, K m <= 4000).
+
+        Inputs are the commands of every cell, outputs the emergent latent states z.
+
+        Parameters
+        ----------
+        coordinates : {"emergent", "isolated"}, optional
+            States z as printed, or x with z = T x, which needs no inverse of N. Default emergent
+            unless 1 - lambda < 1e-3 somewhere: A would hold |A|/(1 - lambda), and poles computed
+            from it would be wrong.
+        """
+        from cellsys.population.plant import plant_of
+
+        if coordinates is None:
+            low = min(b.smallest for b in self._checked_blocks("plant()"))
+            coordinates = "emergent" if low >= _STIFF else "isolated"
+        return plant_of(self, self._checked_blocks("plant()"), coordinates)
+
+    def _checked_blocks(self, what: str) -> list[Block]:
+        self._refuse_matrix_free(what, "simulate() works")
+        if self.n_cells * self.order > DENSE_LIMIT:
+            raise BudgetError(
+                f"{what} makes a dense matrix of K m = {self.n_cells * self.order} > {DENSE_LIMIT} "
+                "rows; pole_set(), stability() and simulate() work for any K on this route"
+            )
+        return self._kept_blocks
+
+    def matrix(self) -> np.ndarray:
+        """z' = M z + ... as printed, dense (K m, K m); entries grow as 1/(1 - lambda)."""
+        found = self._checked_blocks("matrix()")
+        if self.modes is None:
+            return found[0].emergent
+        return self.modes.assemble(np.array([b.emergent for b in found]))
+
+    @property
+    def system(self) -> Any:
+        """The whole as an `OdeSystem` with states z (K, m) and p (K, 3), for any integrator."""
+        from cellsys.population.system import coupled_system
+
+        return coupled_system(self)
+
+    def simulate(
+        self,
+        t: np.ndarray,
+        integrator: Any = None,
+        *,
+        z0: np.ndarray | None = None,
+        p0: np.ndarray | None = None,
+        progress: Any = None,
+    ) -> Any:
+        """Run all cells, each with its own polarity controller and sensor.
+
+        On the modal and graph routes the linear part is exact: without a controller the run is
+        the closed form; with one, symmetric splitting of exact flows (z with p held, p with z
+        held) extrapolated to order 6, its step controlled by the difference to order 4.
+
+        Parameters
+        ----------
+        t : (T,)
+            Sample times, s.
+        integrator : CVODES, DOP853, Radau, LSODA or RungeKutta4
+            Its rtol and atol bound the error of each step; a fixed step is taken as it is. Not
+            needed without a controller. On the dense and matrix-free routes it integrates
+            `system` itself (DOP853, Radau, LSODA).
+        z0 : (m,) or (K, m), optional
+            *Isolated* latent start; default the model's.
+        p0 : (K, 3), optional
+            Polarities; default from the headings.
+
+        Returns
+        -------
+        Trajectory
+            States ``z`` (K, m), emergent, and ``p`` (K, 3).
+
+        Raises
+        ------
+        IntegrationError
+            With the growth rate, when the run grows beyond 1e100 times its start.
+        """
+        from cellsys.population.simulation import run
+
+        return run(self, t, integrator, z0, p0, progress)
+
+    def rightmost(self, count: int = 6) -> np.ndarray:
+        """The `count` rightmost poles by Arnoldi iterations, for K m above the dense limit."""
+        from cellsys.population.system import rightmost_poles
+
+        return rightmost_poles(self, count)
+
+    def linearize(self, at: Any = None) -> Any:
+        """Closed polarity loops of all cells about one common point; see `CoupledLoop`."""
+        from cellsys.population.closed import linearize
+
+        return linearize(self, at)
+
+    def __str__(self) -> str:
+        return (
+            f"{self.n_cells} cells, {self.coupling.name}, m = {self.order}\n"
+            f"  route   {self.route}\n  matrix  {self.rank}"
+        )

@@ -1,0 +1,85 @@
+"""`couple`: the one way to put K cells on one matrix."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import DimensionError, ParameterError
+from cellsys.population.cells import CoupledCells
+from cellsys.population.forms import Superposition, check_form
+from cellsys.population.graph import InteractionGraph, check_positions
+from cellsys.population.headings import loop_of
+from cellsys.population.maps import basis_of, field_rows
+
+
+def couple(
+    model: Any,
+    n_cells: int | None = None,
+    coupling: Any = None,
+    *,
+    graph: InteractionGraph | np.ndarray | None = None,
+    positions: np.ndarray | None = None,
+    headings: np.ndarray | None = None,
+    controller: Any = None,
+    sensor: Any = None,
+    normalise: bool = True,
+) -> Any:
+    """K copies of one cell on one matrix.
+
+    Parameters
+    ----------
+    model : LatentModel
+        One cell with its matrix; with rows named ``field`` for the printed forms.
+    n_cells : int
+        K; may be left out where a graph, positions or LoadPorts say it.
+    coupling : Superposition, MappedSuperposition, Feedback or LoadPorts
+        Default `Superposition()`.
+    graph : InteractionGraph or (K, K), optional
+        Default: every cell meets every other with weight 1.
+    positions : (K, 2) or (K, 3), optional
+        um; kept with the result. The printed forms know no distance: give
+        ``graph=InteractionGraph.attenuated(positions, length)`` for that.
+    headings : (K,), optional
+        Polarity angles at the start, rad; default 0.
+    controller, sensor, normalise
+        As in `closed_loop`, the same for every cell.
+
+    Raises
+    ------
+    RepresentationError
+        When the form needs rows of V and the model has none.
+    ParameterError, DimensionError
+    """
+    coupling = Superposition() if coupling is None else coupling
+    sizes = {}
+    if graph is not None:
+        graph = graph if isinstance(graph, InteractionGraph) else InteractionGraph(graph)
+        sizes["graph"] = graph.n_cells
+    if positions is not None:
+        positions = check_positions(positions)
+        sizes["positions"] = len(positions)
+    if headings is not None:
+        headings = np.atleast_1d(np.asarray(headings, dtype=float))
+        sizes["headings"] = len(headings)
+    if n_cells is not None:
+        if isinstance(n_cells, bool) or not isinstance(n_cells, (int, np.integer)) or n_cells < 1:
+            raise ParameterError(f"n_cells must be a whole number >= 1, got {n_cells!r}")
+        sizes["n_cells"] = int(n_cells)
+    if hasattr(coupling, "assemble_cells"):
+        return coupling.assemble_cells(model, sizes, controller=controller)
+    check_form(coupling)
+    if not sizes:
+        raise ParameterError("couple needs n_cells=, or a graph, positions or headings of K cells")
+    if len(set(sizes.values())) > 1:
+        raise DimensionError(f"numbers of cells differ: {sizes}")
+    K = next(iter(sizes.values()))
+    basis_of(model, coupling.name)
+    field_rows(model, coupling.rows, coupling.name)
+    coupling.extra(model.order)
+    headings = np.zeros(K) if headings is None else headings
+    if headings.shape != (K,) or not np.all(np.isfinite(headings)):
+        raise DimensionError(f"headings must be {K} finite angles in rad")
+    loop = loop_of(model, controller, sensor, normalise)
+    return CoupledCells(model, K, coupling, graph, positions, headings, loop)

@@ -1,0 +1,60 @@
+"""The dense route: weights that are not symmetric have no split, so the whole is one block."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.population.forms import Block
+from cellsys.population.graph import InteractionGraph
+from cellsys.population.split import DOUBTFUL, EPS, FieldSplit
+
+
+def dense_block(
+    form: Any, split: FieldSplit, A: np.ndarray, graph: InteractionGraph, *, drop: bool = False
+) -> Block:
+    """The whole system as one block of size K m, z = T x, x' = M x + G f.
+
+    A pseudo-inverse does not survive an oblique transform, so N = I + w (x) P is decomposed as a
+    whole, N = U S V^T with an absolute tolerance, and z = U S x where kept.
+
+    Parameters
+    ----------
+    form : Superposition, MappedSuperposition or Feedback
+    split : FieldSplit
+    A : (m, m)
+    graph : InteractionGraph
+    drop : bool
+        Drop the doubtful directions as well.
+    """
+    m, K = split.order, graph.n_cells
+    w = graph.weights.toarray() if hasattr(graph.weights, "toarray") else graph.weights
+    eye = np.eye(K * m)
+    isolated = np.kron(np.eye(K), A)
+    N = eye + np.kron(w, split.P)
+    extra = form.extra(m)
+    X = N if extra is None else N + np.kron(w, extra @ split.P)
+    if not form.inverted():
+        kept = np.ones(K * m, bool)
+        return Block(np.nan, X @ isolated, eye, eye, X, eye, kept, np.zeros(0), False, 1.0)
+    U, s, Vt = sla.svd(N)
+    # The rounding of N itself bounds what its singular values can tell.
+    zero = max(split.tol**2, K * m * EPS * max(float(s[0]), 1.0))
+    keep = s > (max(zero, DOUBTFUL) if drop else zero)
+    doubtful = s[keep & (s < DOUBTFUL)]
+    smallest = float(s[keep].min(initial=1.0))
+    if keep.all() and extra is None:
+        inverse = (Vt.T / s) @ U.T
+        return Block(np.nan, isolated, N, inverse, eye, eye, keep, doubtful, True, smallest)
+    scale = np.where(keep, s, 1.0)
+    # Rows of T^-1 X: those of V^T plus the correction by R - I, without the cancellation of N N^-1.
+    top = Vt * keep[:, None]
+    if extra is not None:
+        top = top + (U.T @ np.kron(w, extra @ split.P)) / scale[:, None]
+    M = (top @ isolated @ Vt.T) * keep
+    return Block(
+        np.nan, M, U * scale, U.T / scale[:, None], top, keep[:, None] * Vt, keep, doubtful,
+        bool(keep.all()) and extra is None, smallest,
+    )  # fmt: skip

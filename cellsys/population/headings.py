@@ -1,0 +1,72 @@
+"""Polarity of many cells at once: commands, sensed directions and exact steps, row by row."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import ParameterError
+from cellsys.laws.polarity import exact_steps, rate
+from cellsys.loop import Stay, closed_loop
+
+_FEATURES = ("amplitude", "cos", "sin", "cos2", "sin2")
+
+
+def loop_of(model: Any, controller: Any, sensor: Any, normalise: bool) -> Any:
+    """The polarity loop of one cell, or None for a model without headings or sensor.
+
+    Raises
+    ------
+    ParameterError
+        When a controller or sensor is given and the model cannot use it.
+    """
+    names = [n.split(".")[-1] for n in model.input_names]
+    steered = bool(names) and all(n in _FEATURES for n in names)
+    has_sensor = sensor is not None or model.sensor is not None
+    if steered and has_sensor:
+        return closed_loop(model, controller=controller, sensor=sensor, normalise=normalise)
+    if controller is not None or sensor is not None:
+        missing = "inputs that are heading features" if not steered else "a sensor"
+        raise ParameterError(f"a controller needs a model with {missing}; this one has none")
+    return None
+
+
+def commands(loop: Any, p: np.ndarray) -> np.ndarray:
+    """Inputs of the model (K, n_c) for polarities p (K, 3)."""
+    norm = np.hypot(p[:, 0], p[:, 1])
+    c, s = p[:, 0] / norm, p[:, 1] / norm
+    features = {
+        "amplitude": np.ones(len(p)),
+        "cos": c,
+        "sin": s,
+        "cos2": c * c - s * s,
+        "sin2": 2 * s * c,
+    }
+    return np.column_stack([features[n.split(".")[-1]] for n in loop.model.input_names])
+
+
+def sensed(loop: Any, raw: np.ndarray) -> np.ndarray:
+    """d (K, 3) as the law uses it, from S_d z (K, 3) without the intercept."""
+    d = loop.sensor.K_d[:, 0] + raw
+    if not loop.normalise:
+        return d
+    return d / np.sqrt(np.einsum("ki,ki->k", d, d) + 1e-300)[:, None]
+
+
+def turn(loop: Any, p: np.ndarray, d: np.ndarray, dt: float) -> np.ndarray:
+    """Exact step of every polarity with d held; cells near -d leave it as the law says."""
+    law = loop.controller
+    if not isinstance(law.antiparallel, Stay):
+        size = np.sqrt(np.einsum("ki,ki->k", p, p) * np.einsum("ki,ki->k", d, d))
+        near = (np.einsum("ki,ki->k", p, d) <= law.antiparallel.within * size) & (size > 0)
+        if near.any():
+            p = p.copy()
+            for k in np.flatnonzero(near):
+                p[k] = law.step(p[k], d[k], 0.0)
+    return exact_steps(p, d, law.kappa, dt)
+
+
+def rates(loop: Any, p: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """dp/dt (K, 3)."""
+    return np.array([rate(a, b, loop.controller.kappa) for a, b in zip(p, d, strict=True)])

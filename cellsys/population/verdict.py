@@ -1,0 +1,178 @@
+"""Stability of coupled cells, block by block, for any number of cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.drawable import Drawable
+from cellsys.population.poleset import PoleSet
+from cellsys.response.integrators import set_apart
+from cellsys.response.realization import balancing
+from cellsys.response.spectrum import backward_error, spectrum
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledStability(Drawable):
+    """What can be said about K coupled cells.
+
+    Attributes
+    ----------
+    verdict : str
+        ``"stable"``, ``"unstable"``, ``"not decided"`` or, with a certificate that does not
+        depend on K, ``"stable for every K"``.
+    reason : str
+    spectral_abscissa : float
+        Largest real part of the poles besides integrators, 1/s: the growth rate when unstable.
+    abscissa_error : float
+        Largest distance by which it may be wrong.
+    numerical_abscissa : float
+        Largest eigenvalue of (M + M^T)/2 over the blocks, in the coordinates of `plant()`
+        that need no inverse, 1/s.
+    integrators : int
+        Zero poles set apart: purely matrix directions, and absolute position.
+    poles : PoleSet
+    route : str
+    """
+
+    verdict: str
+    reason: str
+    spectral_abscissa: float
+    abscissa_error: float
+    numerical_abscissa: float
+    integrators: int
+    poles: PoleSet
+    route: str
+
+    _figure: ClassVar[str] = "coupled_stability"
+
+    def __str__(self) -> str:
+        return (
+            f"{self.verdict}: {self.reason}\n"
+            f"  largest real part of a pole  {self.spectral_abscissa:.6g} "
+            f"+- {self.abscissa_error:.1e} 1/s\n"
+            f"  numerical abscissa           {self.numerical_abscissa:.6g} 1/s\n"
+            f"  integrators set apart        {self.integrators}\n"
+            f"  route                        {self.route}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class BlockVerdict:
+    """Verdict on one matrix: abscissa and its error, numerical abscissa, integrators, chains."""
+
+    verdict: str
+    abscissa: float
+    error: float
+    numerical: float
+    integrators: int
+    chain: int
+
+
+def judge(M: np.ndarray, eigenvalues: np.ndarray | None = None) -> BlockVerdict:
+    """Verdict on x' = M x from its poles and their error bounds; integrators set apart.
+
+    `eigenvalues` of M, when they are known already.
+    """
+    if not len(M):
+        return BlockVerdict("stable", -np.inf, 0.0, -np.inf, 0, 0)
+    balanced, scale = balancing(M)
+    names = ("",) * len(M)
+    apart, rest = set_apart(balanced, scale, names, None, discrete=False)
+    B = rest.T @ balanced @ rest if apart.count else balanced
+    chain = 0
+    if apart.count and len(B):
+        chain = set_apart(B, np.ones(len(B)), ("",) * len(B), None, discrete=False)[0].count
+    numerical = float(
+        sla.eigh(0.5 * (M + M.T), eigvals_only=True, subset_by_index=(len(M) - 1, len(M) - 1))[0]
+    )
+    if not len(B):
+        return BlockVerdict("stable", -np.inf, 0.0, numerical, apart.count, 0)
+    found = sla.eigvals(B) if eigenvalues is None or apart.count else eigenvalues
+    top = float(found.real.max())
+    # Cheap sufficient test first: error bounds need the eigenvectors.
+    if top < 0 and chain == 0 and numerical < -backward_error(len(M), float(sla.norm(M))):
+        return BlockVerdict("stable", top, 0.0, numerical, apart.count, 0)
+    known = spectrum(B, found)
+    if chain or np.any(found.real - known.bound > 0):
+        verdict = "unstable"
+    elif np.all(found.real + known.bound < 0):
+        verdict = "stable"
+    else:
+        verdict = "not decided"
+    error = float((found.real + known.bound).max() - top)
+    return BlockVerdict(verdict, top, error, numerical, apart.count, chain)
+
+
+def worst(verdicts: list[str]) -> str:
+    """Unstable if any is, else not decided if any is."""
+    for name in ("unstable", "not decided"):
+        if name in verdicts:
+            return name
+    return "stable"
+
+
+def stability_of(cells: Any) -> CoupledStability:
+    """Verdict on `CoupledCells` from its distinct blocks."""
+    parts = cells.distinct(drop=False)
+    known = cells.eigenvalues()
+    found = [judge(M, values) for (M, _, _, _), values in zip(parts, known, strict=True)]
+    verdict = worst([f.verdict for f in found])
+    top = max(found, key=lambda f: f.abscissa)
+    integrators = sum(
+        (f.integrators + zeros) * n for f, (_, n, zeros, _) in zip(found, parts, strict=True)
+    )
+    growing = sum(
+        n for f, (_, n, _, _) in zip(found, parts, strict=True) if f.verdict == "unstable"
+    )
+    if verdict == "unstable" and top.abscissa > 0:
+        reason = f"{growing} of {cells.n_cells} blocks grow, the fastest at {top.abscissa:.6g} 1/s"
+    elif verdict == "unstable":
+        reason = f"{growing} of {cells.n_cells} blocks have integrators in series"
+    elif verdict == "stable":
+        reason = "every pole has a negative real part by more than its error bound"
+        always = _always_stable(cells)
+        if always is not None:
+            verdict, reason = "stable for every K", always
+    else:
+        reason = f"the largest real part {top.abscissa:.3g} 1/s is known to +- {top.error:.1e} only"
+    if cells.doubtful.size:
+        doubt = cells.describe_doubt()
+        other = worst([judge(M).verdict for M, _, _, _ in cells.distinct(drop=True)])
+        if verdict.startswith(other):
+            reason += f"; the same with directions counted as purely matrix ({doubt})"
+        else:
+            reason = (
+                f"not determined by the data ({doubt}): {verdict} with these directions, {other} "
+                "with them counted as purely matrix"
+            )
+            verdict = "not decided"
+    if integrators:
+        reason += f"; set apart: {integrators} integrators"
+    return CoupledStability(
+        verdict,
+        reason,
+        top.abscissa,
+        top.error,
+        max(f.numerical for f in found),
+        integrators,
+        cells.pole_set(),
+        cells.route,
+    )
+
+
+def _always_stable(cells: Any) -> str | None:
+    """A reason that does not depend on K, or None."""
+    A = cells.matrices[0]
+    form = cells.coupling
+    if cells.graph is not None or form.extra(cells.order) is not None:
+        return None
+    if form.inverted():
+        if cells.rank.purely_field or cells.rank.doubtful.size:
+            return None
+        return "a similarity transform of isolated cells, each stable: the poles are those of A"
+    top = float(sla.eigvalsh(A + A.T)[-1])
+    return f"A + A^T < 0 (largest eigenvalue {top:.3g}) and R = I" if top < 0 else None
