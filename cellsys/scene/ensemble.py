@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -104,6 +106,25 @@ def read_run(folder: str | Path) -> Trajectory:
     return _trajectory(reader, build(scene), scene.times, scene.name)
 
 
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Processes started within use one thread each for linear algebra; a user's setting stays.
+
+    The libraries read the environment when they are loaded, which in a new process is before any
+    code of ours. Threads of several workers on the same cores only wait for each other.
+    """
+    absent = [name for name in THREADS if name not in os.environ]
+    os.environ.update(dict.fromkeys(absent, "1"))
+    try:
+        yield
+    finally:
+        for name in absent:
+            os.environ.pop(name, None)
+
+
 def _die_on_interrupt() -> None:
     """Ctrl-C ends a worker at once; what it wrote can be resumed."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -149,7 +170,8 @@ def run_ensemble(
             min(workers, len(missing)), get_context("spawn"), initializer=_die_on_interrupt
         )
         try:
-            waiting = {pool.submit(_run_into, s, str(folder)) for s in missing}
+            with one_thread_each():  # a process starts when work is submitted
+                waiting = {pool.submit(_run_into, s, str(folder)) for s in missing}
             while waiting:
                 finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                 for future in finished:

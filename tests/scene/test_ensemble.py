@@ -1,5 +1,9 @@
 """Runs of scenes: cached, resumable, the same numbers in one process or two."""
 
+import os
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
 import numpy as np
 import pytest
 
@@ -61,3 +65,17 @@ def test_one_or_two_workers_give_the_same_numbers(tmp_path):
         assert np.array_equal(a.eta, b.eta)
     assert np.array_equal(one[0].x, one[2].x)
     assert len(list((tmp_path / "one").iterdir())) == 2
+
+
+def test_workers_use_one_thread_each_unless_told_otherwise(monkeypatch):
+    ours, theirs = room.THREADS[:2]
+    monkeypatch.delenv(ours, raising=False)
+    monkeypatch.setenv(theirs, "3")
+    with (
+        ProcessPoolExecutor(1, get_context("spawn")) as pool,
+        room.one_thread_each(),
+    ):
+        seen = [pool.submit(os.getenv, name).result() for name in (ours, theirs)]
+    assert seen == ["1", "3"]
+    assert ours not in os.environ
+    assert os.environ[theirs] == "3"
