@@ -21,7 +21,7 @@ from cellsys.errors import (
 from cellsys.reduction.card import Card
 from cellsys.reduction.model_file import ARRAYS, load_model, save_model
 from cellsys.reduction.sensor import StiffnessSensor
-from cellsys.reduction.steps import hold, roll, to_continuous
+from cellsys.reduction.steps import check_roll_out, hold, roll, to_continuous
 from cellsys.system import Layout
 
 
@@ -91,8 +91,9 @@ class LatentModel(Drawable):
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
+        given = vars(self)  # a kind of model that has no basis refuses to be asked for V
         for name in ARRAYS:
-            if np.iscomplexobj(getattr(self, name)):
+            if np.iscomplexobj(given.get(name)):
                 raise DataError(f"{name} is complex; a latent model is made of real numbers")
         A = np.atleast_2d(np.array(self.A, dtype=float))
         m = A.shape[0]
@@ -103,11 +104,12 @@ class LatentModel(Drawable):
         put("B", B.reshape(m, -1) if B.ndim < 2 and B.size % m == 0 else B)
         put("offset", np.zeros(m) if self.offset is None else np.array(self.offset, dtype=float))
         for name in ("V", "mean", "scale", "singular_values", "z_start"):
-            value = getattr(self, name)
+            value = given.get(name)
             if value is not None:
                 put(name, np.array(value, dtype=float))
-        if self.V is not None:
-            rows = len(self.V)
+        V = given.get("V")
+        if V is not None:
+            rows = len(V)
             put("mean", np.zeros(rows) if self.mean is None else self.mean)
             put("scale", np.ones(rows) if self.scale is None else self.scale)
             put("n_states", rows if self.n_states is None else int(self.n_states))
@@ -117,10 +119,10 @@ class LatentModel(Drawable):
         }
         if self.z_start is not None:
             shapes["z_start"] = (self.z_start.shape, (m,))
-        if self.V is not None:
-            rows = len(self.V)
+        if V is not None:
+            rows = len(V)
             shapes |= {
-                "V": (self.V.shape, (rows, m)),
+                "V": (V.shape, (rows, m)),
                 "mean": (self.mean.shape, (rows,)),
                 "scale": (self.scale.shape, (rows,)),
             }
@@ -132,7 +134,7 @@ class LatentModel(Drawable):
             if got != expected:
                 raise DimensionError(f"{name} must have shape {expected}, got {got}")
         for name in ARRAYS:
-            value = getattr(self, name)
+            value = given.get(name)
             if value is not None and not np.all(np.isfinite(value)):
                 raise DataError(f"{name} holds NaN or inf; a model cannot be made from it")
             if value is not None:
@@ -149,7 +151,7 @@ class LatentModel(Drawable):
         put("input_names", tuple(names))
         put("blocks", {k: np.asarray(list(v), dtype=int) for k, v in dict(self.blocks).items()})
         for name, rows_of in self.blocks.items():
-            if self.V is None or np.any(rows_of < 0) or np.any(rows_of >= len(self.V)):
+            if V is None or np.any(rows_of < 0) or np.any(rows_of >= len(V)):
                 raise DimensionError(f"block {name!r} names rows that V does not have")
 
     # Shape and parts
@@ -269,35 +271,7 @@ class LatentModel(Drawable):
         IntegrationError
             When the model grows beyond 1e150 times its start: time, norm and rate are given.
         """
-        z0 = np.asarray(z0, dtype=float)
-        t = np.asarray(t, dtype=float)
-        if z0.shape != (self.order,):
-            raise DimensionError(f"z0 must have shape ({self.order},), got {z0.shape}")
-        if not (np.all(np.isfinite(z0)) and np.all(np.isfinite(t))):
-            raise DataError("z0 or t holds NaN or inf")
-        steps = np.diff(t)
-        if np.any(steps <= 0):
-            raise DataError("t must increase")
-        n_c = self.B.shape[1]
-        c = np.zeros((len(steps), n_c))
-        if u is not None:
-            given = np.asarray(u, dtype=float)
-            if given.shape not in ((n_c,), (len(steps), n_c)):
-                raise DimensionError(
-                    f"u must be ({len(steps)}, {n_c}) or ({n_c},), got {given.shape}"
-                )
-            c[:] = given
-        if not np.all(np.isfinite(c)):
-            raise DataError("u holds NaN or inf")
-        repeats = np.ones(len(steps), int)
-        if self.dt is not None:
-            counts = steps / self.dt
-            repeats = np.round(counts).astype(int)
-            if np.any(np.abs(counts - repeats) > 1e-6) or np.any(repeats < 1):
-                raise ParameterError(
-                    f"t must lie on the model's grid of {self.dt:g} s; got intervals from "
-                    f"{steps.min():g} to {steps.max():g} s"
-                )
+        z0, t, c, repeats = check_roll_out(self.order, self.B.shape[1], self.dt, z0, u, t)
         matrices = (lambda dt: self.step_matrices()) if self.dt is not None else self.step_matrices
         return roll(z0, c, t, repeats, matrices, self.growth)
 

@@ -26,8 +26,8 @@ def save_model(model: Any, path: str | Path) -> Path:
         "dt": model.dt,
         "n_states": model.n_states,
         "input_names": list(model.input_names),
-        "states": _layout_table(model.states),
-        "auxiliaries": _layout_table(model.auxiliaries),
+        "states": layout_table(model.states),
+        "auxiliaries": layout_table(model.auxiliaries),
         "card": None if model.card is None else model.card.table(),
         "notes": dict(model.notes),
     }
@@ -47,10 +47,10 @@ def load_model(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray] 
             "dt": meta["dt"],
             "n_states": meta["n_states"],
             "blocks": {k[6:]: v for k, v in arrays.items() if k.startswith("block ")},
-            "states": _layout_from(meta["states"]),
-            "auxiliaries": _layout_from(meta["auxiliaries"]),
+            "states": layout_from(meta["states"]),
+            "auxiliaries": layout_from(meta["auxiliaries"]),
             "input_names": tuple(meta["input_names"]),
-            "card": _card_from(meta["card"]),
+            "card": card_from(meta["card"]),
             "notes": meta["notes"],
         }
     except (KeyError, TypeError, ValueError) as error:
@@ -59,17 +59,20 @@ def load_model(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray] 
     return values, sensor or None
 
 
-def _card_from(table: dict[str, Any] | None) -> Card | None:
+def card_from(table: dict[str, Any] | None) -> Card | None:
+    """A card from its table."""
     return None if table is None else Card(**(table | {"runs": tuple(table["runs"])}))
 
 
-def _layout_table(layout: Layout | None) -> list | None:
+def layout_table(layout: Layout | None) -> list | None:
+    """A layout as plain values."""
     if layout is None:
         return None
     return [[b.name, list(b.shape), b.unit, b.role, b.kind] for b in layout]
 
 
-def _layout_from(table: list | None) -> Layout | None:
+def layout_from(table: list | None) -> Layout | None:
+    """A layout from plain values."""
     if table is None:
         return None
     return Layout([Block(n, tuple(s), u, r, k) for n, s, u, r, k in table])

@@ -364,6 +364,12 @@ class _Selected:
         return self.shape[0]
 
     def __getitem__(self, rows: Any) -> np.ndarray:
+        if isinstance(rows, tuple):  # (rows, columns): only those are read
+            rows, columns = rows
+            keep = self._keep[columns]
+            if len(keep) and keep[-1] - keep[0] + 1 == len(keep):
+                return np.asarray(self._array[rows, int(keep[0]) : int(keep[-1]) + 1])
+            return np.asarray(self._array[rows])[..., keep]
         return np.take(np.asarray(self._array[rows]), self._keep, axis=-1)
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:

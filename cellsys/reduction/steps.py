@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy.linalg as sla
 
-from cellsys.errors import IntegrationError, ParameterError
+from cellsys.errors import DataError, DimensionError, IntegrationError, ParameterError
 
 Affine = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -55,6 +55,49 @@ def to_continuous(A: np.ndarray, B: np.ndarray, b: np.ndarray, dt: float) -> Aff
         )
     log = log / dt
     return log[:m, :m], log[:m, m : m + k - 1], log[:m, -1]
+
+
+def check_roll_out(
+    order: int,
+    n_commands: int,
+    own_step: float | None,
+    z0: np.ndarray,
+    u: np.ndarray | None,
+    t: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Start, times, commands (T - 1, n_c) and steps per interval of a roll-out, checked.
+
+    `own_step` is the step of a step model in s, None for a continuous model.
+    """
+    z0 = np.asarray(z0, dtype=float)
+    t = np.asarray(t, dtype=float)
+    if z0.shape != (order,):
+        raise DimensionError(f"z0 must have shape ({order},), got {z0.shape}")
+    if not (np.all(np.isfinite(z0)) and np.all(np.isfinite(t))):
+        raise DataError("z0 or t holds NaN or inf")
+    steps = np.diff(t)
+    if np.any(steps <= 0):
+        raise DataError("t must increase")
+    c = np.zeros((len(steps), n_commands))
+    if u is not None:
+        given = np.asarray(u, dtype=float)
+        if given.shape not in ((n_commands,), (len(steps), n_commands)):
+            raise DimensionError(
+                f"u must be ({len(steps)}, {n_commands}) or ({n_commands},), got {given.shape}"
+            )
+        c[:] = given
+    if not np.all(np.isfinite(c)):
+        raise DataError("u holds NaN or inf")
+    repeats = np.ones(len(steps), int)
+    if own_step is not None:
+        counts = steps / own_step
+        repeats = np.round(counts).astype(int)
+        if np.any(np.abs(counts - repeats) > 1e-6) or np.any(repeats < 1):
+            raise ParameterError(
+                f"t must lie on the model's grid of {own_step:g} s; got intervals from "
+                f"{steps.min():g} to {steps.max():g} s"
+            )
+    return z0, t, c, repeats
 
 
 # Overflow ends in inf or NaN, which is turned into an error.
