@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import sys
 
-from cellsys.cli import models, scenes
+from cellsys.cli import couple, models, scenes
 from cellsys.cli.console import app, say_error
 
-__all__ = ["app", "main", "models", "scenes"]
+__all__ = ["app", "couple", "main", "models", "scenes"]
 
 
 def main() -> None:

@@ -17,6 +17,13 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         ],
         "loop": ["headings", "linearisation"],
         "norms": ["system_norm"],
+        "population": [
+            "coupled_cells",
+            "coupled_loop",
+            "coupled_poles",
+            "coupled_stability",
+            "poles_against_cells",
+        ],
         "reduction": [
             "error_against_time",
             "latent_model",

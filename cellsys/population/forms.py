@@ -66,7 +66,10 @@ class Block:
 
 
 def _map(value: Any, name: str, m: int) -> np.ndarray:
-    array = np.asarray(getattr(value, "matrix", value), dtype=float)
+    try:
+        array = np.asarray(getattr(value, "matrix", value), dtype=float)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{name} is no array of numbers: {error}") from error
     if array.shape != (m, m):
         raise DimensionError(f"{name} must be ({m}, {m}) like A, got {array.shape}")
     if not np.all(np.isfinite(array)):

@@ -1,0 +1,93 @@
+"""Command that puts K cells on one matrix: couple."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cellsys.cli.console import Json, ModelFile, app, dump
+
+if TYPE_CHECKING:
+    from cellsys.population import CoupledCells
+
+_FORMS = ("superposition", "mapped", "feedback")
+
+
+@app.command()
+def couple(
+    model: ModelFile,
+    cells: Annotated[int, typer.Option("--cells", "-K", help="Number of cells.")],
+    form: Annotated[
+        str, typer.Option("--form", help="superposition [36], mapped [93] or feedback [57].")
+    ] = "superposition",
+    map_file: Annotated[
+        str | None, typer.Option("--map", help="P_map of --form mapped: .npy file, m x m.")
+    ] = None,
+    rank_tol: Annotated[
+        float | None, typer.Option(help="Absolute tolerance on the singular values of V_alpha.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Poles and stability of K identical cells on one matrix."""
+    from cellsys.cli.models import _load, _verdict
+
+    loaded = _load(model)
+    together = _couple(loaded, cells, form, map_file, rank_tol)
+    report, poles = together.stability(), together.pole_set()
+    if as_json:
+        dump(_table(together, report, poles) | {"model": _verdict(loaded)})
+        return
+    print(f"{together}\n{report}\n{poles}\n{_verdict(loaded)}")
+
+
+def _couple(
+    model: Any, n_cells: int, form: str, map_file: str | None, rank_tol: float | None
+) -> CoupledCells:
+    import numpy as np
+
+    from cellsys import population
+    from cellsys.errors import FileFormatError, ParameterError
+
+    if form not in _FORMS:
+        raise ParameterError(f"--form must be one of {', '.join(_FORMS)}, got {form!r}")
+    if (form == "mapped") != (map_file is not None):
+        raise ParameterError("--form mapped needs --map FILE.npy, and the others take none")
+    if form == "mapped":
+        try:
+            P_map = np.load(map_file, allow_pickle=False)
+        except (ValueError, EOFError) as error:
+            raise FileFormatError(f"{map_file!r} is no .npy array: {error}") from error
+        coupling = population.MappedSuperposition(P_map=P_map, rank_tol=rank_tol)
+    elif form == "feedback":
+        coupling = population.Feedback(rank_tol=rank_tol)
+    else:
+        coupling = population.Superposition(rank_tol=rank_tol)
+    return population.couple(model, n_cells, coupling)
+
+
+def _rows(poles: Any) -> list[dict[str, Any]]:
+    return [
+        {"pole": [v.real, v.imag], "multiplicity": int(n)}
+        for v, n in zip(poles.values, poles.multiplicity, strict=True)
+    ]
+
+
+def _table(cells: Any, report: Any, poles: Any) -> dict[str, Any]:
+    other = poles.alternative
+    return {
+        "cells": cells.n_cells,
+        "order": cells.order,
+        "form": cells.coupling.name,
+        "route": cells.route,
+        "verdict": report.verdict,
+        "reason": report.reason,
+        "spectral_abscissa": report.spectral_abscissa,
+        "numerical_abscissa": report.numerical_abscissa,
+        "integrators": report.integrators,
+        "purely_matrix_directions": cells.rank.purely_field,
+        "one_minus_lambda": cells.rank.gap.tolist(),
+        "determined": poles.determined,
+        "poles": _rows(poles),
+        "alternative_poles": None if other is None else _rows(other),
+    }
