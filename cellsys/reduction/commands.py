@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import re
+from typing import Any
+
 import numpy as np
 
+from cellsys.errors import DataError
 from cellsys.laws.polarity import heading_features
 from cellsys.trajectory import Trajectory
 
@@ -22,6 +26,39 @@ def command_features(
         features.append(np.column_stack([a, a[:, None] * shape]))
         names += [f"cell{c + 1}.{n}" for n in ("amplitude", "cos", "sin", "cos2", "sin2")]
     return np.concatenate(features, axis=1), tuple(names)
+
+
+def harmonic(name: str) -> tuple[str, int, bool] | None:
+    """("cos" | "sin" | "amplitude", q, weighted by the amplitude) of a feature name, or None.
+
+    ``cell1.cos3`` is a cos 3 theta, ``cell1.unit_cos3`` is cos 3 theta.
+    """
+    found = re.fullmatch(r"(?:.*\.)?(?:(amplitude)|(unit_)?(cos|sin)([1-9]\d*)?)", name)
+    if found is None:
+        return None
+    amplitude, unit, kind, order = found.groups()
+    return ("amplitude", 0, True) if amplitude else (kind, int(order or 1), unit is None)
+
+
+def harmonic_value(name: str, amplitude: Any, theta: Any) -> Any:
+    """Value of a feature for an amplitude and a heading theta, rad (arrays alike)."""
+    kind, q, weighted = harmonic(name)
+    if kind == "amplitude":
+        return amplitude
+    value = np.cos(q * theta) if kind == "cos" else np.sin(q * theta)
+    return amplitude * value if weighted else value
+
+
+def named_command(table: np.ndarray, known: tuple[str, ...], name: str) -> np.ndarray:
+    """One command (T,) from recorded ones (T, n_c), or a harmonic made from them."""
+    if name in known:
+        return table[:, known.index(name)]
+    cell = name.rpartition(".")[0]
+    needed = [f"{cell}.{part}" for part in ("amplitude", "cos", "sin")]
+    if harmonic(name) is None or not set(needed) <= set(known):
+        raise DataError(f"no command {name!r} among {', '.join(known) or 'none'}")
+    amplitude, x, y = (table[:, known.index(n)] for n in needed)
+    return harmonic_value(name, amplitude, np.arctan2(y, x))
 
 
 def recorded_commands(

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.reduction.commands import recorded_commands
+from cellsys.reduction.commands import named_command, recorded_commands
 from cellsys.store.runs import read_rows, release
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
@@ -217,10 +217,14 @@ class Snapshots:
         return table[:, keep], tuple(n for n, k in zip(self.command_names, keep, strict=True) if k)
 
     def commands_of(self, run: RunData, names: tuple[str, ...]) -> np.ndarray | None:
-        """The named commands of one run (T - 1, len(names))."""
+        """The named commands of one run (T - 1, len(names)).
+
+        Harmonics that were not recorded are made from the recorded amplitude and heading.
+        """
         if run.commands is None:
             return None
-        return np.asarray(run.commands)[:, [self.command_names.index(n) for n in names]]
+        table = np.asarray(run.commands)
+        return np.column_stack([named_command(table, self.command_names, n) for n in names])
 
     @property
     def has_u(self) -> bool:

@@ -1,0 +1,1 @@
+"""Cells reduced by azimuthal symmetry: representation, training, model."""

@@ -1,0 +1,128 @@
+"""Files of equivariant models: arrays, names and card in one npz; never pickle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import FileFormatError
+from cellsys.reduction.equivariant.dynamics import CellDynamics, ChargeBlock, ReadOut
+from cellsys.reduction.equivariant.port import PolarPort, PortSites
+from cellsys.reduction.equivariant.representation import CHARGES, CellRepresentation, ChargeModes
+from cellsys.reduction.equivariant.schedule import Clock
+from cellsys.reduction.equivariant.shape import ShapeBasis
+from cellsys.reduction.model_file import card_from, layout_from, layout_table
+from cellsys.reduction.sensor import StiffnessSensor
+from cellsys.store.archive import load_archive, save_archive
+
+KIND, VERSION = "equivariant model", 1
+
+
+def write_parts(model: Any, path: str | Path) -> Path:
+    """Write an `EquivariantModel`, atomically."""
+    dynamics, shape = model.dynamics, model.representation.shape
+    arrays = {
+        "material": shape.material,
+        "site nodes": model.sites.nodes,
+        "site place": model.sites.place,
+        "site area": model.sites.area,
+    }
+    for q, block in enumerate(dynamics.blocks):
+        arrays |= {
+            f"A {q}": block.A,
+            f"B {q}": block.B,
+            f"C {q}": block.C,
+            f"gamma {q}": np.array(block.gamma),
+            f"spread {q}": block.spread,
+            f"V {q}": model.modes.V[q],
+        }
+    for name in ("alone", "riding"):
+        read = getattr(dynamics, name)
+        arrays |= {f"{name} {k}": getattr(read, k) for k in ("R_z", "R_u", "R_y")}
+    if model.z_start is not None:
+        arrays["z_start"] = model.z_start
+    if model.sensor is not None:
+        arrays |= {f"sensor {k}": v for k, v in model.sensor.arrays().items()}
+    port = model.representation.port
+    metadata = {
+        "degree": shape.degree,
+        "radius": shape.radius,
+        "port": [port.reach, port.spacing, port.orders],
+        "start_height": model.representation.start_height,
+        "load_weight": model.representation.load_weight,
+        "tail": {str(q): v for q, v in model.modes.tail.items()},
+        "clock": [dynamics.clock.tau, dynamics.clock.vertices],
+        "dt": dynamics.dt,
+        "states": layout_table(model.states),
+        "auxiliaries": layout_table(model.auxiliaries),
+        "cell": model.cell,
+        "horizon": model.horizon,
+        "card": None if model.card is None else model.card.table(),
+        "notes": dict(model.notes),
+    }
+    return save_archive(path, KIND, VERSION, arrays, metadata)
+
+
+def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
+    """Arguments of an `EquivariantModel` from a file.
+
+    Raises
+    ------
+    FileNotFoundError, FileFormatError
+    """
+    arrays, meta = load_archive(path, KIND, VERSION)
+    for name, value in arrays.items():
+        if value.dtype.kind not in "fiu" or not np.all(np.isfinite(value)):
+            raise FileFormatError(f"{Path(path).name!r} is damaged: {name!r} is not finite numbers")
+    try:
+        blocks = tuple(
+            ChargeBlock(
+                arrays[f"A {q}"],
+                arrays[f"B {q}"],
+                float(arrays[f"gamma {q}"]),
+                arrays[f"C {q}"],
+                arrays[f"spread {q}"],
+            )
+            for q in CHARGES
+        )
+        reads = [
+            ReadOut(*(arrays[f"{name} {k}"] for k in ("R_z", "R_u", "R_y")))
+            for name in ("alone", "riding")
+        ]
+        tau, vertices = meta["clock"]
+        dynamics = CellDynamics(blocks, Clock(tau, vertices), float(meta["dt"]), *reads)
+        reach, spacing, orders = meta["port"]
+        representation = CellRepresentation(
+            ShapeBasis(arrays["material"], meta["radius"], meta["degree"]),
+            PolarPort(reach, spacing, orders),
+            meta["start_height"],
+            meta["load_weight"],
+        )
+        modes = ChargeModes(
+            {q: arrays[f"V {q}"] for q in CHARGES},
+            {q: blocks[q].spread for q in CHARGES},
+            {int(q): v for q, v in meta["tail"].items()},
+        )
+        sites = PortSites(arrays["site nodes"], arrays["site place"], arrays["site area"])
+        sensor = {k[7:]: v for k, v in arrays.items() if k.startswith("sensor ")}
+        args = (
+            dynamics,
+            representation,
+            modes,
+            sites,
+            layout_from(meta["states"]),
+            layout_from(meta["auxiliaries"]),
+        )
+        keywords = {
+            "cell": meta["cell"],
+            "horizon": meta["horizon"],
+            "z_start": arrays.get("z_start"),
+            "sensor": StiffnessSensor(**sensor) if sensor else None,
+            "card": card_from(meta["card"]),
+            "notes": meta["notes"],
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
+    return args, keywords

@@ -1,0 +1,167 @@
+"""Coordinates of one cell: charges of shape and load, reduced by POD; the centroid stands apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.errors import RankError
+from cellsys.reduction.equivariant.charges import TOP, pack, unpack
+from cellsys.reduction.equivariant.port import PolarPort
+from cellsys.reduction.equivariant.shape import ShapeBasis
+
+CHARGES = range(TOP + 1)
+_NORM = np.sqrt(4.0 * np.pi)  # coefficients of harmonics to rms over the sphere
+
+
+@dataclass(frozen=True, eq=False)
+class CellRepresentation:
+    """x of a cell and its load on the matrix <-> (centroid, features per charge).
+
+    Features of charge q: shape coefficients over sqrt(4 pi), so that their norm is the rms node
+    displacement in um, then `load_weight` (um per pN/um) times the load's. Charge 0 starts with
+    the height of the centroid above that of the starting sphere.
+
+    Parameters
+    ----------
+    shape : ShapeBasis
+    port : PolarPort
+    start_height : float
+        Height of the starting centroid, um.
+    load_weight : float
+    """
+
+    shape: ShapeBasis
+    port: PolarPort
+    start_height: float
+    load_weight: float
+
+    def features(
+        self, nodes: np.ndarray, loads: Sequence[dict[int, np.ndarray]] | None
+    ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+        """Centroid (T, 3) and features (T, d_q) per charge of nodes (T, n, 3) and T loads.
+
+        Without loads those features are zero (a cell that has not touched the matrix).
+        """
+        centre, W, Z = self.shape.coefficients(nodes)
+        out = {}
+        for q in CHARGES:
+            parts = [pack(W, Z, q) / _NORM]
+            if q == 0:
+                parts.insert(0, (centre[..., 2] - self.start_height)[..., None])
+            if loads is None:
+                parts.append(np.zeros((len(centre), self.load_size(q))))
+            else:
+                parts.append(self.load_weight * np.array([load[q] for load in loads]))
+            out[q] = np.concatenate(parts, axis=-1)
+        return centre, out
+
+    def load_size(self, q: int) -> int:
+        """Number of load coefficients of charge q."""
+        orders = self.port.orders
+        held = [abs(q) <= orders, abs(1 - q) <= orders, q > 0 and 1 + q <= orders]
+        return self.port.n_hats * sum(held)
+
+    def split(self, q: int, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Shape part (height first for charge 0) and load part of features (..., d_q)."""
+        n = features.shape[-1] - self.load_size(q)
+        return features[..., :n], features[..., n:] / self.load_weight
+
+    def nodes(self, place: np.ndarray, features: dict[int, np.ndarray]) -> np.ndarray:
+        """Node positions (..., n, 3) from the centroid's place (..., 2) and the features."""
+        packed = {q: self.split(q, f)[0] * _NORM for q, f in features.items()}
+        height = packed[0][..., 0] / _NORM + self.start_height
+        packed[0] = packed[0][..., 1:]
+        W, Z = unpack(packed, *self.shape.sizes())
+        centre = np.concatenate([np.asarray(place)[..., :2], height[..., None]], axis=-1)
+        return self.shape.nodes(centre, W, Z)
+
+    def load(self, features: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
+        """Charges of the load on the matrix, pN/um, from features."""
+        return {q: self.split(q, f)[1] for q, f in features.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class ChargeModes:
+    """POD of every charge on real and imaginary parts: features ~ V_q z_q, V_q real.
+
+    Parameters
+    ----------
+    V : dict of (d_q, m_q)
+        Orthonormal columns.
+    spread : dict of (m_q,)
+        Root mean square of each z, for whitening.
+    """
+
+    V: dict[int, np.ndarray]
+    spread: dict[int, np.ndarray]
+    tail: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """m_q of the charges 0, 1, ...; complex for q > 0."""
+        return tuple(self.V[q].shape[1] for q in CHARGES)
+
+    @property
+    def order(self) -> int:
+        """Number of real states."""
+        return sum(m * (1 if q == 0 else 2) for q, m in enumerate(self.orders))
+
+    def encode(self, features: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
+        """z_q (..., m_q)."""
+        return {q: features[q] @ self.V[q] for q in CHARGES}
+
+    def decode(self, z: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
+        """Features (..., d_q)."""
+        return {q: z[q] @ self.V[q].T for q in CHARGES}
+
+
+def fit_modes(features: Sequence[dict[int, np.ndarray]], order: int) -> ChargeModes:
+    """Modes of at most `order` real states, given out by the variance they bring per state.
+
+    `features` are those of every run. A complex mode costs two states and brings the variance of
+    both parts; charges 0, 1 and 2 always get one.
+
+    Raises
+    ------
+    RankError
+        When the order is below 5 or beyond the data.
+    """
+    stacks = {}
+    for q in CHARGES:
+        rows = np.concatenate([f[q] for f in features])
+        stacks[q] = rows if q == 0 else np.concatenate([rows.real, rows.imag])
+    parts = {q: sla.svd(rows, full_matrices=False)[1:] for q, rows in stacks.items()}
+    rank = {q: int((s > 1e-10 * s[0]).sum()) if s[0] > 0 else 0 for q, (s, _) in parts.items()}
+    most = sum(r * (1 if q == 0 else 2) for q, r in rank.items())
+    if not 5 <= order <= most:
+        raise RankError(
+            f"order {order} cannot be met: charges 0, 1 and 2 need 5 states, and the data of these "
+            f"runs allow {most}"
+        )
+    chosen = {q: 1 if q <= 2 else 0 for q in CHARGES}
+    used = 5
+    while True:
+        gains = {
+            q: parts[q][0][m] ** 2 / (1 if q == 0 else 2)
+            for q, m in chosen.items()
+            if m < rank[q] and used + (1 if q == 0 else 2) <= order
+        }
+        if not gains:
+            break
+        best = max(gains, key=gains.get)
+        chosen[best] += 1
+        used += 1 if best == 0 else 2
+    V = {q: np.ascontiguousarray(parts[q][1][: chosen[q]].T) for q in CHARGES}
+    spread = {
+        q: parts[q][0][: chosen[q]] / np.sqrt(len(stacks[q]) / (1 if q == 0 else 2))
+        for q in CHARGES
+    }
+    tail = {
+        q: float(np.sum(parts[q][0][chosen[q] :] ** 2) / max(np.sum(parts[q][0] ** 2), 1e-300))
+        for q in CHARGES
+    }
+    return ChargeModes(V, spread, tail)
