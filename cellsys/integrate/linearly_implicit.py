@@ -107,6 +107,7 @@ class _ImplicitStepper(Stepper):
         self.drag = system.drag()
         self.moving = np.isfinite(self.drag) & (self.drag > 0)
         self.force_scale = np.where(self.moving, self.drag, 0.0)
+        self.is_moving = self.moving.astype(float)
         self.velocity = np.zeros(system.states.size)
         self.linear = system.W_x.nnz > 0
         self.factors: dict[str, _Factor] = {}
@@ -209,11 +210,12 @@ class _ImplicitStepper(Stepper):
             move += delta
             if self._explained(residual - self.force_scale * delta / dt, move / dt):
                 break
-        largest = float(np.abs(move).max(initial=0.0, where=self.moving))
+        velocity = (end - x) * (self.is_moving / dt)
+        largest = dt * float(np.abs(velocity).max(initial=0.0))
         if np.isfinite(largest) and largest > self.method.largest_move:
             return None
         system.advance_internal(t, x, end, dt)
-        self.velocity = np.where(self.moving, (end - x) / dt, 0.0)
+        self.velocity = velocity
         self.events.extend(happened)
         self.x = end
         for states, rates in system.internal_blocks():

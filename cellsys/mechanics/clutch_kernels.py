@@ -7,8 +7,8 @@ import numpy as np
 from cellsys.laws.clutch import binding_rate, unbinding_rate
 from cellsys.mechanics.compiled import compiled
 
-_binding = compiled(binding_rate)
-_unbinding = compiled(unbinding_rate)
+_binding = compiled(inline=True)(binding_rate)
+_unbinding = compiled(inline=True)(unbinding_rate)
 
 
 @compiled
@@ -96,6 +96,18 @@ def clutch_advance(
         gain = 0.5 * (n[i] + n_new[i]) * (1.0 - decay) / off
         s_new[i, 0] = stretch[i, 0] * decay + gain * (slip[i, 0] + v_m * d0 / r)
         s_new[i, 1] = stretch[i, 1] * decay + gain * (slip[i, 1] + v_m * d1 / r)
+
+
+@compiled
+def slip(before, after, x, x_end, index, weight, count, dt, out):
+    """out[i] = mean velocity of the matrix under node i minus that of the node, horizontal."""
+    for i in range(out.shape[0]):
+        s0, s1 = x[i, 0] - x_end[i, 0], x[i, 1] - x_end[i, 1]
+        for m in range(count[i]):
+            j, w = index[i, m], weight[i, m]
+            s0 += w * (after[j, 0] - before[j, 0])
+            s1 += w * (after[j, 1] - before[j, 1])
+        out[i, 0], out[i, 1] = s0 / dt, s1 / dt
 
 
 @compiled

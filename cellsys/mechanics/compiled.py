@@ -9,17 +9,20 @@ from typing import Any
 import numba
 
 
-def compiled(function: Callable | None = None, *, vector: bool = False) -> Any:
+def compiled(
+    function: Callable | None = None, *, vector: bool = False, inline: bool = False
+) -> Any:
     """Compile on first call; keep the machine code on disk, or do without on a read-only system.
 
     `vector` lets loops use the vector units: sums in any order, products fused into them, and a
-    division by zero that gives inf, as in numpy, instead of an exception.
+    division by zero that gives inf, as in numpy, instead of an exception. `inline` puts a law into
+    the loop that calls it: a cached function is otherwise called, and the loop not vectorised.
     """
     if function is None:
-        return partial(compiled, vector=vector)
-    options: dict[str, Any] = {}
+        return partial(compiled, vector=vector, inline=inline)
+    options: dict[str, Any] = {"inline": "always"} if inline else {}
     if vector:
-        options = {"fastmath": {"reassoc", "contract", "nsz"}, "error_model": "numpy"}
+        options |= {"fastmath": {"reassoc", "contract", "nsz"}, "error_model": "numpy"}
     try:
         return numba.njit(cache=True, **options)(function)
     except RuntimeError:

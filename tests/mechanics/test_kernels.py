@@ -166,6 +166,9 @@ def test_clutch_loads_and_gather(bonds):
     out = np.empty((len(x), 2))
     clutch_loops.gather(u, index, weight, count, out)
     assert np.allclose(out, (W @ u)[:, :2], **CLOSE)
+    u_end, x_end = u + 0.1 * u[::-1], x + 0.1 * x[::-1]
+    clutch_loops.slip(u, u_end, x, x_end, index, weight, count, 0.5, out)
+    assert np.allclose(out, ((W @ (u_end - u) - (x_end - x)) / 0.5)[:, :2], **CLOSE)
 
 
 NUMBERS = {"k_b": 2000.0, "k_on": 0.1, "height": 0.9, "width": 0.2, "k_off0": 0.025,

@@ -97,6 +97,12 @@ class ClutchElement(Element):
             s.cache[self.name] = self.bins.weights(s.nodes[self.array])
         return s.cache[self.name]
 
+    def _rim(self, s: Configuration) -> np.ndarray:
+        key = self.name + ".rim"
+        if key not in s.cache:
+            s.cache[key] = rim_factor(s.nodes[self.array], self.disc.radius)
+        return s.cache[key]
+
     def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
         e = self.effect
         kernels.clutch_loads(
@@ -127,7 +133,7 @@ class ClutchElement(Element):
             s.nodes[self.array],
             s.internal[self.strength],
             s.internal[self.stretch],
-            rim_factor(s.nodes[self.array], self.disc.radius),
+            self._rim(s),
             slip,
             e.stiffness,
             e.on_rate,
@@ -142,14 +148,21 @@ class ClutchElement(Element):
     def advance(self, s: Configuration, end: Configuration, dt: float) -> None:
         e, x = self.effect, s.nodes[self.array]
         slip = np.empty((len(x), 2))
-        kernels.gather(end.nodes[MATRIX] - s.nodes[MATRIX], *self._weights(s), slip)
-        slip -= (end.nodes[self.array] - x)[:, :2]
+        kernels.slip(
+            s.nodes[MATRIX],
+            end.nodes[MATRIX],
+            x,
+            end.nodes[self.array],
+            *self._weights(s),
+            dt,
+            slip,
+        )
         kernels.clutch_advance(
             x,
             s.internal[self.strength],
             s.internal[self.stretch],
-            rim_factor(x, self.disc.radius),
-            slip / dt,
+            self._rim(s),
+            slip,
             dt,
             e.stiffness,
             e.on_rate,
