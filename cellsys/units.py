@@ -14,11 +14,14 @@ from fractions import Fraction
 
 from cellsys.errors import UnitError
 
-Dimension = tuple[Fraction, Fraction, Fraction, Fraction]  # exponents of length, force, time, angle
+# Exponents of length, force, time, angle, temperature.
+Dimension = tuple[Fraction, Fraction, Fraction, Fraction, Fraction]
 
 
-def _dim(length: int = 0, force: int = 0, time: int = 0, angle: int = 0) -> Dimension:
-    return (Fraction(length), Fraction(force), Fraction(time), Fraction(angle))
+def _dim(
+    length: int = 0, force: int = 0, time: int = 0, angle: int = 0, temperature: int = 0
+) -> Dimension:
+    return tuple(Fraction(n) for n in (length, force, time, angle, temperature))  # type: ignore[return-value]
 
 
 _BASE: dict[str, tuple[float, Dimension]] = {
@@ -34,6 +37,7 @@ _BASE: dict[str, tuple[float, Dimension]] = {
     "Hz": (1.0, _dim(time=-1)),
     "rad": (1.0, _dim(angle=1)),
     "deg": (math.pi / 180.0, _dim(angle=1)),
+    "K": (1.0, _dim(temperature=1)),
 }
 _PREFIX = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}
 _PREFIXED = ("m", "N", "Pa", "J", "s")

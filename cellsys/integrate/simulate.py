@@ -147,6 +147,11 @@ def simulate(
             f"{type(integrator).__name__} does not look for events and this system has some "
             f"({guards[0].name!r}, ...); use DOP853, Radau or LSODA"
         )
+    if hasattr(integrator, "solve") and getattr(system, "discrete", False):
+        raise ParameterError(
+            f"{type(integrator).__name__} knows no steps, and this system changes between them "
+            "(binding, rupture, thermal forces); use LinearlyImplicit or ExplicitEuler"
+        )
     rows = sink if sink is not None else _Memory(record_shapes(system, times, auxiliaries))
     if auxiliaries:
         rows.arrays["eta_start"][: system.auxiliaries.size] = system.eta(float(times[0]), start)

@@ -158,6 +158,10 @@ class SpreadingSystem(OverdampedSystem):
             ("_mobility", mobility),
             ("_internal", tuple(inside)),
             ("_last", ()),
+            (
+                "_switching",
+                tuple(e for e in elements if type(e).between_steps is not Element.between_steps),
+            ),
             ("_cholesky", {}),
         ):
             object.__setattr__(self, name, value)
@@ -251,6 +255,11 @@ class SpreadingSystem(OverdampedSystem):
 
     # OverdampedSystem
 
+    @property
+    def discrete(self) -> bool:
+        """Whether something happens between steps, which only a stepping integrator makes."""
+        return bool(self._switching)
+
     def drag(self) -> np.ndarray:
         return self._drag
 
@@ -295,7 +304,7 @@ class SpreadingSystem(OverdampedSystem):
     def between_steps(
         self, t: float, x: np.ndarray, dt: float, rng: np.random.Generator
     ) -> tuple[np.ndarray, tuple[Event, ...]]:
-        switching = [e for e in self.elements if type(e).between_steps is not Element.between_steps]
+        switching = self._switching
         if not switching:
             return x, ()
         x = x.copy()

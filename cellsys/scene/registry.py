@@ -40,6 +40,16 @@ LISTED: dict[str, str] = {
     "external_load": "steering:ExternalLoad",
     "stiffness_sensing": "steering:StiffnessSensing",
     "polarity": "steering:Polarity",
+    "external_strain": "external_strain:ExternalStrain",
+    "fibre_bending": "fibre_bending:FibreBending",
+    "matrix_creep": "matrix_creep:MatrixCreep",
+    "cortex": "cortex:Cortex",
+    "nucleus": "nucleus:Nucleus",
+    "stochastic_adhesion": "stochastic_adhesion:StochasticAdhesion",
+    "stress_fibres": "stress_fibres:StressFibres",
+    "cell_contact": "cell_contact:CellContact",
+    "matrix_degradation": "matrix_degradation:MatrixDegradation",
+    "noise": "noise:Noise",
 }
 
 

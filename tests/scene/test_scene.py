@@ -231,7 +231,10 @@ def test_every_effect_of_the_registry_can_be_named_with_every_parameter():
             assert meta["about"], f"{name}.{item.name} has no meaning"
             unit = "" if meta["unit"] == "1" or meta["choices"] else f" {meta['unit']}"
             parameters[item.name] = f"{item.default}{unit}"
-        scene = Scene.parse(table(**{name: parameters}))
+        others = dict.fromkeys(effect.excludes) | {
+            other: None for other in TABLE["effects"] if name in EFFECTS[other].excludes
+        }
+        scene = Scene.parse(table(**others, **{name: parameters}))
         assert scene.effects[name] == effect()
 
 

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from cellsys.errors import SceneError
-from cellsys.mechanics.effects.clutch import ClutchElement
 from cellsys.mechanics.effects.protocol import Effect, Element, Site, parameter
-from cellsys.mechanics.effects.switching import SwitchingElement
 
 
 @dataclass(frozen=True)
@@ -93,5 +91,9 @@ class FocalAdhesion(Effect):
         if site.matrix is None:
             raise SceneError("focal_adhesion needs a matrix; add [matrix] to the scene")
         if self.kinetics == "clutch":
+            from cellsys.mechanics.effects.clutch import ClutchElement
+
             return (ClutchElement(self, site.cell, site.matrix),)
+        from cellsys.mechanics.effects.switching import SwitchingElement
+
         return (SwitchingElement(self, site.cell, site.matrix),)

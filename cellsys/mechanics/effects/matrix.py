@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -94,6 +95,8 @@ class FibreElement(Element):
         self._across: np.ndarray | None = None
         self._key = 0
         self._assembly: StiffnessAssembly | None = None
+        # Share of each fibre that is left, set by an effect that takes some away.
+        self.intact: Callable[[Configuration], np.ndarray] | None = None
 
     def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
         d = self.disc
@@ -126,6 +129,8 @@ class FibreElement(Element):
                 slope,
                 tension,
             )
+            if self.intact is not None:
+                slope, tension = slope * self.intact(s), tension * self.intact(s)
             s.cache[self.name] = slope, tension
         return s.cache[self.name]
 
