@@ -1,5 +1,7 @@
 """Reduction: snapshots, basis, reductors, the latent model and its card."""
 
+from typing import Any
+
 from cellsys.reduction.assessment import assess
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.card import Card
@@ -12,11 +14,25 @@ from cellsys.reduction.ridge import Ridge
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import RunData, Snapshots, snapshots
 
+_FIELD = ("FullField", "GalerkinField", "full_field")
+
+
+def __getattr__(name: str) -> Any:
+    """Field models are loaded when first used: they bring the mechanics, and numba with it."""
+    if name in _FIELD:
+        from cellsys.reduction import field
+
+        return getattr(field, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
 __all__ = [
     "PCR",
     "Basis",
     "Card",
     "ExactSVD",
+    "FullField",
+    "GalerkinField",
     "LatentModel",
     "LeastSquares",
     "PoleCertainty",
@@ -28,6 +44,7 @@ __all__ = [
     "assess",
     "fit_basis",
     "fit_sensor",
+    "full_field",
     "pole_certainty",
     "reduce",
     "reduce_orders",

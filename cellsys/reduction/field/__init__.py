@@ -1,0 +1,6 @@
+"""The matrix as its own system: Galerkin field on load-response modes, and the full one."""
+
+from cellsys.reduction.field.galerkin import GalerkinField
+from cellsys.reduction.field.implicit import FullField, full_field
+
+__all__ = ["FullField", "GalerkinField", "full_field"]

@@ -1,0 +1,143 @@
+"""The matrix alone: stored energy, forces and tangent of the elements that act on it only.
+
+    U(u) = sum over fibres k l0^2 G(strain) + foundation,      F = -dU/du,      Hess U = -dF/du
+
+Law and loops are those of the full-order model (`FibreElement`, `cellsys.laws.fibre`); nothing is
+written a second time, so inclusion, gradient, buckling, stiffening and foundation are what the
+scene says.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from cellsys.errors import SceneError
+from cellsys.mechanics.effects.matrix import MATRIX, FibreElement
+from cellsys.mechanics.effects.protocol import Configuration, Element
+from cellsys.mechanics.geometry.disc import StiffnessAssembly
+from cellsys.mechanics.spreading import SpreadingSystem
+from cellsys.trajectory import Trajectory
+
+_STATE = "matrix.displacement"
+
+
+class MatrixEnergy:
+    """Energy of the matrix of a built scene as a function of nodal displacements (n, 3), um.
+
+    Parameters
+    ----------
+    system : SpreadingSystem
+        ``cs.build(scene)``; only its matrix and the elements on the matrix alone are used.
+
+    Raises
+    ------
+    SceneError
+        A scene without a matrix, with a matrix but no elasticity, or on a chain.
+    """
+
+    def __init__(self, system: Any) -> None:
+        if not isinstance(system, SpreadingSystem):
+            raise SceneError(
+                f"a matrix field needs the system of a scene on a disc, got "
+                f"{type(system).__name__}; use cs.build of a scene with matrix.kind = 'disc'"
+            )
+        if system.matrix is None:
+            raise SceneError(
+                "this scene has no matrix, so there is no field to reduce; add [matrix] and "
+                "effects.matrix_elasticity"
+            )
+        own = [
+            e
+            for e in system.elements
+            if e.ports
+            and all(p.array == MATRIX for p in e.ports)
+            and type(e).energy is not Element.energy
+        ]
+        fibres = [e for e in own if isinstance(e, FibreElement)]
+        if not fibres:
+            raise SceneError(
+                "this scene's matrix has no elasticity: a load would move it for ever; "
+                "add effects.matrix_elasticity"
+            )
+        self.disc = system.matrix
+        self._fibres = fibres[0]
+        self._others = tuple(e for e in own if e is not self._fibres)
+        self.own_blocks = frozenset(p.block for e in own for p in e.ports)
+        self._elements = tuple(own)
+        self.rest = np.array(self.disc.position)
+        self.n = len(self.rest)
+        self.free = np.flatnonzero(~np.repeat(self.disc.clamped, 3))
+        self.drag = float(system.drag()[system.states.slice(_STATE)][self.free][0])
+        self._assembly: StiffnessAssembly | None = None
+
+    def _at(self, u: np.ndarray) -> Configuration:
+        return Configuration(0.0, {MATRIX: u}, {})
+
+    def energy(self, u: np.ndarray) -> float:
+        """U, pN um, at displacements u (n, 3)."""
+        s = self._at(u)
+        return float(sum(e.energy(s) for e in self._elements))
+
+    def force(self, u: np.ndarray) -> np.ndarray:
+        """F = -dU/du (n, 3), pN."""
+        total = np.zeros_like(u)
+        s = self._at(u)
+        self._fibres.efforts(s, (total,))
+        for element in self._others:
+            part = np.zeros_like(u)
+            element.efforts(s, (part,))
+            total += part
+        return total
+
+    def tangent(
+        self, u: np.ndarray, slope: float | None = None, *, tension_only: bool = False
+    ) -> sp.csc_array:
+        """Hess U (3n, 3n), pN/um; clamped nodes not yet removed.
+
+        A fibre of stiffness k, slope g' and tension T gives k g' n n^T + (T/l)(I - n n^T); T < 0
+        makes it indefinite. With `slope` every fibre has that slope and no tension: a fixed
+        over-estimate for a modified Newton method. `tension_only` leaves T < 0 out: semidefinite.
+        """
+        d = self.disc
+        if self._assembly is None:
+            self._assembly = StiffnessAssembly(self.n, d.fibres)
+        x = self.rest + u
+        s = self._at(u)
+        if slope is None:
+            along, tension = self._fibres.slopes(s)
+            if tension_only:
+                tension = np.maximum(tension, 0.0)
+            ends = x[d.fibres[:, 1]] - x[d.fibres[:, 0]]
+            across = tension / np.sqrt((ends**2).sum(axis=1) + 1e-12)
+        else:
+            along, across = np.full(len(d.fibres), float(slope)), np.zeros(len(d.fibres))
+        K = self._assembly(x, along * d.stiffness, across)
+        for element in self._others:
+            # Linear laws: the bound they state for the integrator is their stiffness itself.
+            for part in element.stiffness(s):
+                on = np.zeros(3)
+                on[list(part.axes)] = 1.0
+                matrix = part.matrix()
+                K = K + (sp.kron(matrix, sp.diags_array(on)) if part.axes else matrix)
+        return sp.csc_array(K)
+
+    def loads(self, run: Trajectory) -> np.ndarray:
+        """Loads on the matrix in a run (T - 1, n, 3), pN: averages over the sampling intervals.
+
+        Everything that acts on the matrix (adhesions, external loads) except its own elasticity
+        and foundation, and except what the stepping left over (``step_residual``).
+        """
+        rows = run.states.slice(_STATE)
+        total = self.drag * np.asarray(run.u)[:, rows]
+        W = self.drag * sp.csc_array(run.W_eta)[rows]
+        for block in run.auxiliaries:
+            if block.name in self.own_blocks or block.name == "step_residual":
+                continue
+            piece = run.auxiliaries.slice(block.name)
+            part = W[:, piece]
+            if part.nnz:
+                total = total + np.asarray(run.eta)[:, piece] @ part.T
+        return total.reshape(len(total), self.n, 3)
