@@ -170,12 +170,17 @@ class _MembraneElement(Element):
         return (Stiffness(self.array, (0, 1, 2), lambda: self._bound(s), None),)
 
     def _bound(self, s: Configuration) -> sp.csc_array:
-        e, m, x = self.effect, self.mesh, s.nodes[self.array]
-        length = _edge_lengths(x, m.edges)
-        excess = ((length - m.edge_length) / m.edge_length) ** 2
-        weight = e.line * (1.0 + 3.0 * e.stiffening * excess)
-        lines = laplacian(len(x), m.edges, weight)
-        return lines + laplacian(len(x), *area_bound(x, m.triangles, m.triangle_area, e.area, 0.0))
+        key = self.name + ".bound"
+        if key not in s.cache:
+            e, m, x = self.effect, self.mesh, s.nodes[self.array]
+            length = _edge_lengths(x, m.edges)
+            excess = ((length - m.edge_length) / m.edge_length) ** 2
+            weight = e.line * (1.0 + 3.0 * e.stiffening * excess)
+            pairs, weights = area_bound(x, m.triangles, m.triangle_area, e.area, 0.0)
+            s.cache[key] = laplacian(
+                len(x), np.concatenate([m.edges, pairs]), np.concatenate([weight, weights])
+            )
+        return s.cache[key]
 
 
 @dataclass(frozen=True)
@@ -217,10 +222,13 @@ class _TensionElement(Element):
         return (Stiffness(self.array, (0, 1, 2), lambda: self._bound(s), None),)
 
     def _bound(self, s: Configuration) -> sp.csc_array:
-        m, x = self.mesh, s.nodes[self.array]
-        return laplacian(
-            len(x), *area_bound(x, m.triangles, m.triangle_area, 0.0, self.effect.tension)
-        )
+        key = self.name + ".bound"
+        if key not in s.cache:
+            m, x = self.mesh, s.nodes[self.array]
+            s.cache[key] = laplacian(
+                len(x), *area_bound(x, m.triangles, m.triangle_area, 0.0, self.effect.tension)
+            )
+        return s.cache[key]
 
 
 @dataclass(frozen=True)
