@@ -40,16 +40,22 @@ from .mechanics.crawler import Crawler, CrawlerSystem, build_crawlers
 from .mechanics.crawler_run import CrawlRun, crawl
 from .observe import contact_radius, node_speed, summary_of_run
 from .population import (
+    CellPort,
     CoupledCells,
     CoupledStability,
     Feedback,
     ForceMap,
     InteractionGraph,
+    LinearField,
+    LoadPorts,
     MappedSuperposition,
     P_c,
     P_F_phi,
     P_phi,
+    PatchPort,
     PoleSet,
+    PortedCells,
+    PortPassivity,
     Superposition,
     couple,
     fit_P_map,

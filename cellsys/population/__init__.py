@@ -2,25 +2,34 @@
 
 from cellsys.population.cells import CoupledCells
 from cellsys.population.couple import couple
+from cellsys.population.footprint import LinearField, PatchPort
 from cellsys.population.forms import Feedback, MappedSuperposition, Superposition
 from cellsys.population.graph import InteractionGraph
+from cellsys.population.load_ports import LoadPorts, PortedCells
 from cellsys.population.maps import ForceMap, P_c, P_F_phi, P_phi, fit_P_map
 from cellsys.population.poleset import PoleSet
+from cellsys.population.ports import CellPort, PortPassivity
 from cellsys.population.split import FieldSplit
 from cellsys.population.verdict import CoupledStability
 
 __all__ = [
+    "CellPort",
     "CoupledCells",
     "CoupledStability",
     "Feedback",
     "FieldSplit",
     "ForceMap",
     "InteractionGraph",
+    "LinearField",
+    "LoadPorts",
     "MappedSuperposition",
     "P_F_phi",
     "P_c",
     "P_phi",
+    "PatchPort",
     "PoleSet",
+    "PortPassivity",
+    "PortedCells",
     "Superposition",
     "couple",
     "fit_P_map",

@@ -25,6 +25,7 @@ class Propagators:
         self.T = np.array([block.T for block in blocks])
         self.D = np.array([block.D for block in blocks])
         self.drive = np.array([block.G @ np.column_stack([B, b]) for block in blocks])
+        self.n_inputs = B.shape[1]
         self.graph = self.modes.graph is not None
         # Superposition of cells that share no purely matrix direction: one flow for all.
         self.same_flow = len(blocks) == 2 and all(

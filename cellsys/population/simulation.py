@@ -46,18 +46,19 @@ def run(
             f"{T} samples of {K} cells need {need / 1e9:.1f} GB of memory; sample less often"
         )
     began = clock.perf_counter()
-    flow = _Run(cells, z, p, integrator)
+    flow = ModalFlow(cells)
+    moving = SplitRun(cells, flow, loop, flow.start(z), p, integrator)
     states = np.empty((T, width))
     headings, directions = (
         (np.empty((T, K, 3)), np.empty((T, K, 3))) if loop is not None else (None, None)
     )
     for k in range(T):
         if k:
-            flow.advance(float(times[k - 1]), float(times[k]))
-        states[k, : K * m] = flow.emergent().ravel()
+            moving.advance(float(times[k - 1]), float(times[k]))
+        states[k, : K * m] = flow.emergent(moving.x).ravel()
         if loop is not None:
-            states[k, K * m :] = flow.p.ravel()
-            headings[k], directions[k] = flow.p, flow.direction()
+            states[k, K * m :] = moving.p.ravel()
+            headings[k], directions[k] = moving.p, moving.direction()
         if progress is not None:
             progress(k / max(T - 1, 1))
     return Trajectory(
@@ -66,7 +67,7 @@ def run(
         _layout(cells),
         p=headings,
         d=directions,
-        statistics={**flow.statistics, "wall_time": clock.perf_counter() - began},
+        statistics={**moving.statistics, "wall_time": clock.perf_counter() - began},
         label=f"{K} coupled cells, {cells.coupling.name}",
     )
 
@@ -101,37 +102,63 @@ def _through_system(cells: Any, times: np.ndarray, integrator: Any, z0: Any, p0:
     )
 
 
-class _Run:
-    """State of a run on the modal or graph route."""
+class ModalFlow(Propagators):
+    """Propagators with the read-outs of emergent states and of the sensor."""
 
-    def __init__(self, cells: Any, z: np.ndarray, p: np.ndarray, integrator: Any) -> None:
-        self.cells, self.loop = cells, cells.loop
-        self.flow = Propagators(cells)
-        self.x = self.flow.act(self.flow.D, self.flow.to_modes(z))
-        self.p, self.length = p, np.linalg.norm(p, axis=1)
+    def __init__(self, cells: Any) -> None:
+        super().__init__(cells)
         self.offset = rest_offset(cells)
+        if cells.loop is not None:
+            S = cells.loop.sensor.S_d
+            self.reader = S @ self.T
+            self.shift = self.offset @ S.T
+
+    def start(self, z: np.ndarray) -> np.ndarray:
+        """Modal x of isolated latent states (K, m)."""
+        return self.act(self.D, self.to_modes(z))
+
+    def emergent(self, x: np.ndarray) -> np.ndarray:
+        """z (K, m)."""
+        return self.to_cells(self.act(self.T, x)) + self.offset
+
+    def sense(self, x: np.ndarray) -> np.ndarray:
+        """S_d z (K, 3)."""
+        return self.to_cells(self.act(self.reader, x)) + self.shift
+
+
+class SplitRun:
+    """A run of cells with controllers over an exact linear flow.
+
+    Parameters
+    ----------
+    cells : CoupledCells or PortedCells
+        For its name, number and growth rate in an error.
+    flow : ModalFlow or PortFlow
+        flow(x, c, h), sense(x), n_inputs.
+    loop : ClosedLoop or None
+    x, p : array, (K, 3)
+        Start.
+    integrator : object with rtol and atol, or step
+    """
+
+    def __init__(
+        self, cells: Any, flow: Any, loop: Any, x: np.ndarray, p: np.ndarray, integrator: Any
+    ) -> None:
+        self.cells, self.flow, self.loop, self.x = cells, flow, loop, x
+        self.p, self.length = p, np.linalg.norm(p, axis=1)
         self.statistics: dict[str, Any] = {"steps": 0, "rejected": 0}
         self.limit = _LARGEST * max(1.0, float(np.linalg.norm(self.x)))
         self.halvings = 0
         self.rtol, self.atol, self.fixed = _tolerances(integrator, self.loop)
-        if self.loop is not None:
-            S = self.loop.sensor.S_d
-            self.reader = S @ self.flow.T
-            self.shift = self.offset @ S.T
-
-    def emergent(self) -> np.ndarray:
-        """z (K, m) now."""
-        return self.flow.to_cells(self.flow.act(self.flow.T, self.x)) + self.offset
 
     def direction(self, x: np.ndarray | None = None) -> np.ndarray:
-        """d (K, 3) of the modal state x."""
-        x = self.x if x is None else x
-        return sensed(self.loop, self.flow.to_cells(self.flow.act(self.reader, x)) + self.shift)
+        """d (K, 3) at the state x."""
+        return sensed(self.loop, self.flow.sense(self.x if x is None else x))
 
     def advance(self, t0: float, t1: float) -> None:
         """Move from t0 to t1."""
         if self.loop is None:
-            still = np.zeros((self.cells.n_cells, self.flow.drive.shape[2] - 1))
+            still = np.zeros((self.cells.n_cells, self.flow.n_inputs))
             with np.errstate(over="ignore", invalid="ignore"):
                 self.x = self.flow.flow(self.x, still, t1 - t0)
             self.statistics["steps"] += 1

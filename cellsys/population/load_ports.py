@@ -1,0 +1,356 @@
+"""`LoadPorts`: cells coupled by loads through one shared matrix field.
+
+    field   C_e q' = -K q + sum_k E_k^T f_k          y_k = E_k q'
+    cell k  z_k' = A z_k + b + B u_k + C y_k         f_k = F z_k
+
+Superposing loads on one field is exact where it is linear; superposing isolated displacements is
+not. Each cell has its own E_k, so distance, boundary and neighbours come in by themselves. If
+every cell is passive at its port and the field is, no sum of them grows, for any K and any
+placement: a certificate, not a simulation.                            [theory.md 4 and 4b]
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.drawable import Drawable
+from cellsys.errors import BudgetError, DimensionError, ParameterError, RepresentationError
+from cellsys.population.footprint import (
+    FieldPassivity,
+    PatchPort,
+    dense_stiffness,
+    field_passivity,
+)
+from cellsys.population.graph import check_positions
+from cellsys.population.poleset import PoleSet, pole_set
+from cellsys.population.ports import CellPort, PortPassivity
+from cellsys.population.verdict import CoupledStability, judge
+
+DENSE_LIMIT = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class LoadPorts:
+    """Coupling of K cells by loads on one shared field.
+
+    Parameters
+    ----------
+    field : GalerkinField, full field or LinearField
+        Anything with order, drag, stiffness, nodes, surface, project.
+    positions : (K, 2) or (K, 3)
+        um.
+    headings : (K,), optional
+        rad; default 0.
+    port : PatchPort or other, optional
+        Gives E_k = gather(field, position, heading); default a patch of 8 um, in the plane.
+    allow_active : bool
+        Compute with a port of passivity index below -1e-10 instead of refusing it.
+    """
+
+    field: Any
+    positions: np.ndarray
+    headings: np.ndarray | None = None
+    port: Any = None
+    allow_active: bool = False
+    name: ClassVar[str] = "LoadPorts"
+
+    def __post_init__(self) -> None:
+        x = check_positions(self.positions)
+        theta = np.zeros(len(x)) if self.headings is None else np.asarray(self.headings, float)
+        if theta.shape != (len(x),) or not np.all(np.isfinite(theta)):
+            raise DimensionError(f"headings must be {len(x)} finite angles in rad")
+        for needed in ("order", "drag", "stiffness", "nodes", "surface", "project"):
+            if not hasattr(self.field, needed):
+                raise ParameterError(
+                    f"field of LoadPorts has no {needed}; give a GalerkinField, a full field or a "
+                    "LinearField"
+                )
+        object.__setattr__(self, "positions", x)
+        object.__setattr__(self, "headings", theta)
+        if self.port is None:
+            object.__setattr__(self, "port", PatchPort())
+
+    def assemble_cells(
+        self, model: Any, sizes: dict[str, int], *, controller: Any = None
+    ) -> PortedCells:
+        """Put cells at the ports; called by `couple`."""
+        sizes = {**sizes, "LoadPorts.positions": len(self.positions)}
+        if len(set(sizes.values())) > 1:
+            raise DimensionError(f"numbers of cells differ: {sizes}")
+        if not isinstance(model, CellPort):
+            raise RepresentationError(
+                f"LoadPorts needs a cell with a load port, and a {type(model).__name__} has none; "
+                "use a CellPort or an Equivariant model"
+            )
+        if model.n_loads != self.port.n_loads:
+            raise DimensionError(
+                f"the cell has {model.n_loads} loads, its port on the matrix {self.port.n_loads}"
+            )
+        cells = PortedCells(model, self, controller)
+        passivity = cells.passivity
+        if passivity.active and not self.allow_active:
+            raise ParameterError(
+                f"the velocity input C makes the port active: passivity index "
+                f"{passivity.index:.2g} at {passivity.frequency:.3g} rad/s, bound -1e-10; freely "
+                "fitted inputs become unstable from some number of cells on (numerics: 10). Use "
+                "CellPort.collocated(...), or allow_active=True to compute all the same"
+            )
+        return cells
+
+
+@dataclass(frozen=True, eq=False)
+class PortCertificate:
+    """Why the whole is stable for every K and every placement, or which part fails.
+
+    Attributes
+    ----------
+    cell : PortPassivity
+    field : FieldPassivity
+    strict : float
+        How fast the free cell at least contracts in its metric, 1/s (or 1 - |A|_P^2 per step); > 0
+        means bounded under bounded inputs.
+    """
+
+    cell: PortPassivity
+    field: FieldPassivity
+    strict: float
+
+    @property
+    def holds(self) -> bool:
+        """Both parts are passive for certain."""
+        return self.cell.certified and self.field.certified
+
+    def __str__(self) -> str:
+        return f"{self.cell}; {self.field}"
+
+
+@dataclass(frozen=True, eq=False)
+class PortedCells(Drawable):
+    """K cells on one field, linear. Made by `couple(port, coupling=LoadPorts(...))`.
+
+    Attributes
+    ----------
+    model : CellPort
+    coupling : LoadPorts
+    controller : PolarityLaw or None
+    """
+
+    model: CellPort
+    coupling: LoadPorts
+    controller: Any = None
+
+    _figure: ClassVar[str] = "coupled_cells"
+
+    @property
+    def n_cells(self) -> int:
+        """K."""
+        return len(self.coupling.positions)
+
+    @property
+    def order(self) -> int:
+        """m of one cell."""
+        return self.model.order
+
+    @property
+    def n_states(self) -> int:
+        """K m + order of the field."""
+        return self.n_cells * self.order + int(self.coupling.field.order)
+
+    @cached_property
+    def passivity(self) -> PortPassivity:
+        """Of the cell's port."""
+        return self.model.passivity()
+
+    @cached_property
+    def certificate(self) -> PortCertificate:
+        """Passivity of every part."""
+        cell = self.passivity
+        return PortCertificate(cell, field_passivity(self.coupling.field), -cell.contraction)
+
+    @cached_property
+    def gathers(self) -> np.ndarray:
+        """E_k of every cell, (K, n_f, order)."""
+        c = self.coupling
+        return np.array(
+            [
+                c.port.gather(c.field, x, float(a))
+                for x, a in zip(c.positions, c.headings, strict=True)
+            ]
+        )
+
+    @cached_property
+    def route(self) -> str:
+        """Which route is taken, and why."""
+        if not np.any(self.model.C):
+            return "cascade: the cells drive the matrix and feel nothing, K copies of one cell"
+        if self.n_states <= DENSE_LIMIT:
+            return f"dense: one field block, K m + order = {self.n_states} <= {DENSE_LIMIT}"
+        return f"certificate only: K m + order = {self.n_states} > {DENSE_LIMIT}"
+
+    def _afford(self, what: str) -> None:
+        if self.n_states > DENSE_LIMIT:
+            raise BudgetError(
+                f"{what} makes a dense matrix of K m + order = {self.n_states} > {DENSE_LIMIT} "
+                "rows; stability() certifies any number of cells without it, fewer modes of the "
+                "field or fewer cells make it possible"
+            )
+
+    @cached_property
+    def whole(self) -> tuple[np.ndarray, np.ndarray]:
+        """(M, G) of x' (or x+) = M x + G g: x = [z_1 .. z_K, q], g (K m) = b + B u of each."""
+        self._afford("the assembled system")
+        K, m, cell, field = self.n_cells, self.order, self.model, self.coupling.field
+        Kq, C_e, n = dense_stiffness(field), float(field.drag), int(field.order)
+        E = self.gathers
+        A = np.kron(np.eye(K), cell.A)
+        # C E_k and E_k^T F, all cells below and beside each other
+        CE = np.einsum("mf,kfq->kmq", cell.C, E).reshape(K * m, n)
+        EF = np.einsum("kfq,fm->qkm", E, cell.F).reshape(n, K * m)
+        if cell.dt is None:
+            G, D = -Kq / C_e, EF / C_e
+            M = np.block([[A + CE @ D, CE @ G], [D, G]])
+            return M, np.vstack([np.eye(K * m), np.zeros((n, K * m))])
+        dt = cell.dt
+        through = 0.5 * (EF @ CE) / dt
+        left = (C_e / dt) * np.eye(n) + Kq - through
+        one = np.eye(K * m)
+        on_z, on_q, on_g = (
+            0.5 * EF @ (one + A),
+            (C_e / dt) * np.eye(n) - through,
+            0.5 * EF,
+        )
+        solved = sla.solve(left, np.hstack([on_z, on_q, on_g]))
+        q_z, q_q, q_g = np.split(solved, [K * m, K * m + n], axis=1)
+        M = np.block([[A + CE @ q_z / dt, CE @ (q_q - np.eye(n)) / dt], [q_z, q_q]])
+        return M, np.vstack([one + CE @ q_g / dt, q_g])
+
+    def matrix(self) -> np.ndarray:
+        """The assembled matrix: of x' = M x, or of a step x+ = M x; x = [z_1 .. z_K, q]."""
+        return self.whole[0]
+
+    def _continuous(self, values: np.ndarray) -> np.ndarray:
+        if self.model.dt is None:
+            return values
+        with np.errstate(divide="ignore"):
+            log = np.log(np.asarray(values, complex))
+        return log.real / self.model.dt + 1j * (log.imag / self.model.dt)
+
+    @cached_property
+    def _poles(self) -> PoleSet:
+        note = f"LoadPorts, {self.route.split(':')[0]} route"
+        if self.route.startswith("cascade"):
+            K_field, C_e = dense_stiffness(self.coupling.field), float(self.coupling.field.drag)
+            rates = sla.eigvalsh(K_field) / C_e
+            if self.model.dt is not None:
+                rates = np.log1p(self.model.dt * rates) / self.model.dt  # implicit Euler
+            own = self._continuous(sla.eigvals(self.model.A))
+            return pole_set([(own, self.n_cells, np.nan), (-rates, 1, np.nan)], note, None)
+        return pole_set([(self._continuous(sla.eigvals(self.matrix())), 1, np.nan)], note, None)
+
+    def pole_set(self) -> PoleSet:
+        """Poles of cells and field with multiplicities, 1/s."""
+        return self._poles
+
+    def poles(self) -> np.ndarray:
+        """Every pole (K m + order,), 1/s, by falling real part."""
+        return self._poles.expanded()
+
+    def stability(self) -> CoupledStability:
+        """Certificate when every part is passive, else the poles of this placement.
+
+        The verdict "stable for every K and every placement" is about shapes, loads and field;
+        the centroids integrate and are not part of it.
+        """
+        if self.certificate.holds:
+            poles = self._poles if self.n_states <= DENSE_LIMIT else pole_set(
+                [(self._continuous(sla.eigvals(self.model.A)), self.n_cells, np.nan)],
+                "poles of the free cells; the coupled ones are not computed at this size",
+                None,
+            )
+            bounded = (
+                "bounded under bounded inputs"
+                if self.certificate.strict > 0
+                else "inputs may add up without bound: the free cell does not contract strictly"
+            )
+            return CoupledStability(
+                "stable for every K and every placement",
+                f"cells and matrix are passive at their ports ({self.certificate}); {bounded}; "
+                "centroids integrate and are set apart",
+                poles.abscissa,
+                0.0,
+                self.passivity.contraction,
+                0,
+                poles,
+                self.route,
+            )
+        M = self.matrix()
+        if self.model.dt is not None:
+            size = np.abs(sla.eigvals(M)).max()
+            verdict = "stable" if size < 1 - 1e-12 else "not decided"
+            verdict = "unstable" if size > 1 + 1e-12 else verdict
+            top, error = float(np.log(size) / self.model.dt), 1e-12 / self.model.dt
+            integrators, numerical = 0, float(np.log(sla.norm(M, 2)) / self.model.dt)
+        else:
+            found = judge(M)
+            verdict, top, error = found.verdict, found.abscissa, found.error
+            integrators, numerical = found.integrators, found.numerical
+        reason = f"no certificate ({self.certificate}); this placement grows at {top:.4g} 1/s"
+        return CoupledStability(
+            verdict, reason, top, error, numerical, integrators, self._poles, self.route
+        )
+
+    def plant(self) -> Any:
+        """Cells and field as a named `control.StateSpace`: commands in, loads and states out.
+
+        dt = 0, or the step of the cells.
+        """
+        import control
+
+        M, G = self.whole
+        K, m, cell = self.n_cells, self.order, self.model
+        B = G @ np.kron(np.eye(K), cell.B)
+        inputs = [n.split(".")[-1].replace("[", "_").replace("]", "") for n in cell.input_names]
+        states = [f"cell{k}_z[{i}]" for k in range(1, K + 1) for i in range(m)]
+        states += [f"field_q[{i}]" for i in range(int(self.coupling.field.order))]
+        return control.ss(
+            M,
+            B,
+            np.eye(len(M)),
+            np.zeros(B.shape),
+            0 if cell.dt is None else cell.dt,
+            states=states,
+            inputs=[f"cell{k}_{n}" for k in range(1, K + 1) for n in inputs],
+            outputs=states,
+            name=f"ported_cells_K{K}",
+            remove_useless_states=False,
+        )
+
+    def simulate(
+        self,
+        t: np.ndarray,
+        integrator: Any = None,
+        *,
+        z0: np.ndarray | None = None,
+        p0: np.ndarray | None = None,
+        q0: np.ndarray | None = None,
+    ) -> Any:
+        """Run cells and field; states ``z`` (K, m), ``q`` and, with a controller, ``p`` (K, 3).
+
+        Continuous cells: exact linear flow, extrapolated splitting with the polarities as in
+        `CoupledCells.simulate`. Cells with a step: one exchange at the midpoint per step, on
+        the grid of dt, commands held over each.
+        """
+        from cellsys.population.ported_run import run_ported
+
+        return run_ported(self, t, integrator, z0, p0, q0)
+
+    def __str__(self) -> str:
+        return (
+            f"{self.n_cells} cells on a field of order {self.coupling.field.order}, m = "
+            f"{self.order}\n  route   {self.route}\n  {self.certificate}"
+        )
