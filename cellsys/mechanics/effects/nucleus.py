@@ -63,7 +63,7 @@ class Nucleus(Effect):
         "3000 pN/um^2", "pN/um^2", least=0.0, source="mechanics 1.1: 10 x membrane", about="K_V"
     )
     filament: float = parameter(
-        "10 pN/um", "pN/um", above=0.0,
+        "10 pN/um", "pN/um", least=0.0,
         source="cellsys choice: a tenth of a membrane edge", about="spring of a filament",
     )  # fmt: skip
     stiffening: float = parameter(
