@@ -2,5 +2,6 @@
 
 from cellsys.reduction.field.galerkin import GalerkinField
 from cellsys.reduction.field.implicit import FullField, full_field
+from cellsys.reduction.field.ports import FieldPassivity
 
-__all__ = ["FullField", "GalerkinField", "full_field"]
+__all__ = ["FieldPassivity", "FullField", "GalerkinField", "full_field"]

@@ -15,13 +15,17 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.errors import SceneError
+from cellsys.mechanics.effects.fibre_bending import bend_forces
 from cellsys.mechanics.effects.matrix import MATRIX, FibreElement
-from cellsys.mechanics.effects.protocol import Configuration, Element
+from cellsys.mechanics.effects.protocol import Configuration
 from cellsys.mechanics.geometry.disc import StiffnessAssembly
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.trajectory import Trajectory
 
 _STATE = "matrix.displacement"
+_LINEAR = f"{MATRIX}.foundation"
+_BENDING = f"{MATRIX}.fibre_bending"
+_H = 1e-5  # um: step of the differences of the bending forces, whose angles change over 1 um
 
 
 class MatrixEnergy:
@@ -35,7 +39,8 @@ class MatrixEnergy:
     Raises
     ------
     SceneError
-        A scene without a matrix, with a matrix but no elasticity, or on a chain.
+        A scene without a matrix, with a matrix but no elasticity, on a chain, or with an effect
+        that gives the matrix states or motions of its own (creep, degradation, external strain).
     """
 
     def __init__(self, system: Any) -> None:
@@ -49,19 +54,19 @@ class MatrixEnergy:
                 "this scene has no matrix, so there is no field to reduce; add [matrix] and "
                 "effects.matrix_elasticity"
             )
-        own = [
-            e
-            for e in system.elements
-            if e.ports
-            and all(p.array == MATRIX for p in e.ports)
-            and type(e).energy is not Element.energy
-        ]
+        own = [e for e in system.elements if e.ports and all(p.array == MATRIX for p in e.ports)]
         fibres = [e for e in own if isinstance(e, FibreElement)]
         if not fibres:
             raise SceneError(
                 "this scene's matrix has no elasticity: a load would move it for ever; "
                 "add effects.matrix_elasticity"
             )
+        for e in [*own, *(e for e in system.elements if any(h.array == MATRIX for h in e.holds))]:
+            if e is not fibres[0] and e.name not in (_LINEAR, _BENDING):
+                raise SceneError(
+                    f"{e.name} gives the matrix states or motions of its own, which a field of "
+                    "displacements alone does not carry; leave it out, or run the full-order model"
+                )
         self.disc = system.matrix
         self._fibres = fibres[0]
         self._others = tuple(e for e in own if e is not self._fibres)
@@ -116,12 +121,14 @@ class MatrixEnergy:
             along, across = np.full(len(d.fibres), float(slope)), np.zeros(len(d.fibres))
         K = self._assembly(x, along * d.stiffness, across)
         for element in self._others:
-            # Linear laws: the bound they state for the integrator is their stiffness itself.
+            if element.name == _BENDING:
+                K = K + bending_tangent(element, u)
+                continue
+            # A linear law: the bound it states for the integrator is its stiffness itself.
             for part in element.stiffness(s):
                 on = np.zeros(3)
                 on[list(part.axes)] = 1.0
-                matrix = part.matrix()
-                K = K + (sp.kron(matrix, sp.diags_array(on)) if part.axes else matrix)
+                K = K + sp.kron(part.matrix(), sp.diags_array(on))
         return sp.csc_array(K)
 
     def loads(self, run: Trajectory) -> np.ndarray:
@@ -141,3 +148,28 @@ class MatrixEnergy:
             if part.nnz:
                 total = total + np.asarray(run.eta)[:, piece] @ part.T
         return total.reshape(len(total), self.n, 3)
+
+
+def bending_tangent(element: Any, u: np.ndarray) -> sp.csc_array:
+    """Hess of the bending energy (3n, 3n), pN/um, by central differences of `bend_forces`.
+
+    Every triple of nodes is set apart, so that 18 evaluations give all 9 x 9 blocks at once.
+    """
+    triples = element.triples
+    m = len(triples)
+    apart = np.arange(3 * m).reshape(m, 3)
+    rest, at = element.disc.position[triples].reshape(-1, 3), u[triples].reshape(-1, 3)
+    unused = np.empty(m)
+    blocks = np.empty((m, 9, 9))
+    for k in range(9):
+        sides = []
+        for sign in (1.0, -1.0):
+            moved, force = at.copy(), np.zeros((3 * m, 3))
+            moved[k // 3 :: 3, k % 3] += sign * _H
+            bend_forces(rest, moved, apart, element.angle, element.modulus, force, unused)
+            sides.append(force.reshape(m, 9))
+        blocks[:, :, k] = (sides[1] - sides[0]) / (2.0 * _H)
+    blocks = 0.5 * (blocks + blocks.transpose(0, 2, 1))
+    dof = (3 * triples[:, :, None] + np.arange(3)).reshape(m, 9)
+    where = np.repeat(dof, 9, axis=1).ravel(), np.tile(dof, (1, 9)).ravel()
+    return sp.csc_array(sp.coo_array((blocks.ravel(), where), shape=(u.size, u.size)))

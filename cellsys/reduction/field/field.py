@@ -16,11 +16,12 @@ import numpy as np
 from cellsys.errors import DataError, DimensionError, IntegrationError, ParameterError
 from cellsys.reduction.field.descent import StepInfo, StepMemory, StepProblem, implicit_step
 from cellsys.reduction.field.elasticity import MatrixEnergy
+from cellsys.reduction.field.linear import LinearisedField
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 
 
-class MatrixField:
+class MatrixField(LinearisedField):
     """Common part of `GalerkinField` and the full field; subclasses give coordinates and solves.
 
     Attributes
