@@ -19,8 +19,12 @@ from .errors import (
 from .integrate import (
     CVODES,
     DOP853,
+    IDAS,
     LSODA,
+    RKC,
+    Collocation,
     ExplicitEuler,
+    Exponential,
     LinearlyImplicit,
     Radau,
     RungeKutta4,
@@ -38,7 +42,19 @@ from .loop import (
 from .mechanics.commands import Commands, History
 from .mechanics.crawler import Crawler, CrawlerSystem, build_crawlers
 from .mechanics.crawler_run import CrawlRun, crawl
-from .observe import contact_radius, node_speed, summary_of_run
+from .observe import (
+    Attenuation,
+    PairReadout,
+    alone_scenes,
+    attenuation_length,
+    contact_radius,
+    edge_gap,
+    node_speed,
+    observe_pair,
+    speed_against_spacing,
+    summary_of_run,
+    until_contact,
+)
 from .population import (
     CellPort,
     CoupledCells,
@@ -64,6 +80,8 @@ from .reduction import (
     PCR,
     Basis,
     Card,
+    Contraction,
+    Contractive,
     ExactSVD,
     FullField,
     GalerkinField,
@@ -76,6 +94,7 @@ from .reduction import (
     Snapshots,
     StiffnessSensor,
     assess,
+    contraction,
     fit_basis,
     fit_sensor,
     full_field,

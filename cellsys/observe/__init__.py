@@ -1,5 +1,29 @@
 """Physical read-outs of runs, full-order or reconstructed."""
 
+from cellsys.observe.pairs import (
+    Attenuation,
+    PairReadout,
+    alone_scenes,
+    attenuation_length,
+    edge_gap,
+    observe_pair,
+    speed_against_spacing,
+    until_contact,
+)
+from cellsys.observe.read_outs import read_outs
 from cellsys.observe.spreading import contact_radius, node_speed, summary_of_run
 
-__all__ = ["contact_radius", "node_speed", "summary_of_run"]
+__all__ = [
+    "Attenuation",
+    "PairReadout",
+    "alone_scenes",
+    "attenuation_length",
+    "contact_radius",
+    "edge_gap",
+    "node_speed",
+    "observe_pair",
+    "read_outs",
+    "speed_against_spacing",
+    "summary_of_run",
+    "until_contact",
+]

@@ -1,0 +1,304 @@
+"""Read-outs of cells that share a matrix: gap, matrix speed between and around them, contact.
+
+Speeds between two cells say little by themselves: one cell alone moves the matrix there too. So
+every read-out of a pair takes the *one-cell control*, each cell alone at the same place, over the
+same nodes and times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.observe.spreading import contact_radius, node_speed
+from cellsys.system import Event
+from cellsys.trajectory import Trajectory
+
+RIM = 0.87  # share of the matrix radius beyond which the clamped edge is felt
+
+
+def cell_names(run: Trajectory) -> list[str]:
+    """``cell1``, ``cell2``, ... of a run."""
+    return [b.name.split(".")[0] for b in run.states if b.name.endswith(".position")]
+
+
+def edge_gap(run: Trajectory, first: str = "cell1", second: str = "cell2") -> np.ndarray:
+    """Free distance between two cells along the line of their centres (T,), um.
+
+    The distance of the centres minus how far each membrane reaches towards the other;
+    0 at contact, negative where the membranes overlap (nothing in the model may forbid it).
+    """
+    a, b = run.block(f"{first}.position"), run.block(f"{second}.position")
+    between = (b.mean(axis=1) - a.mean(axis=1))[:, :2]
+    distance = np.linalg.norm(between, axis=1)
+    if np.any(distance == 0):
+        raise DataError("two cells have the same centre: there is no line between them")
+    e = between / distance[:, None]
+    reach = [
+        np.einsum("tni,ti->tn", x[:, :, :2] - x[:, :, :2].mean(axis=1)[:, None], s * e).max(axis=1)
+        for x, s in ((a, 1.0), (b, -1.0))
+    ]
+    return distance - reach[0] - reach[1]
+
+
+def until_contact(run: Trajectory, gap: float = 0.0) -> Trajectory:
+    """The run up to the first contact of two cells, which becomes its last event.
+
+    Contact is where the `edge_gap` of a pair falls to `gap` um, found by linear interpolation
+    between samples; later samples are dropped. A run without contact is returned as it is.
+    """
+    if not np.isfinite(gap):
+        raise ParameterError(f"gap must be finite, got {gap!r}")
+    first: tuple[float, int, str] | None = None
+    for a, b in combinations(cell_names(run), 2):
+        g = edge_gap(run, a, b) - gap
+        below = np.flatnonzero(g <= 0)
+        if not below.size:
+            continue
+        k = int(below[0])
+        time = float(run.t[0])
+        if k:
+            share = g[k - 1] / (g[k - 1] - g[k])
+            time = float(run.t[k - 1] + share * (run.t[k] - run.t[k - 1]))
+        if first is None or time < first[0]:
+            first = (time, k, f"{a} and {b}")
+    if first is None:
+        return run
+    time, k, who = first
+    keep = max(k, 1)
+    rows = {n: None if getattr(run, n) is None else getattr(run, n)[:keep]
+            for n in ("p", "d", "amplitude")}  # fmt: skip
+    steps = {n: None if getattr(run, n) is None else getattr(run, n)[: keep - 1]
+             for n in ("eta", "u")}  # fmt: skip
+    events = (*(e for e in run.events if e.time <= time), Event(time, "contact", who))
+    return replace(run, t=run.t[:keep], x=run.x[:keep], events=events, **rows, **steps)
+
+
+@dataclass(frozen=True, eq=False)
+class PairReadout:
+    """What two cells do to each other's matrix, beside one cell alone.
+
+    Speeds are means over nodes and times, nm/s. `alone` are means over the controls, each cell
+    alone at the same place: same nodes, same times.
+
+    Attributes
+    ----------
+    t : (T - 1,)
+        Starts of the sampling intervals, s.
+    gap : (T,)
+        Edge gap, um.
+    normalised_gap : (T,)
+        Over its start.
+    gap_speed, periphery_speed : (T - 1,)
+        Of the matrix between the cells, and away from both.
+    gap_alone, periphery_alone : (T - 1,)
+    """
+
+    t: np.ndarray
+    gap: np.ndarray
+    normalised_gap: np.ndarray
+    gap_speed: np.ndarray
+    periphery_speed: np.ndarray
+    gap_alone: np.ndarray
+    periphery_alone: np.ndarray
+
+    def means(self) -> dict[str, float]:
+        """Averages over the run, in nm/s and um."""
+        return {
+            "gap_start_um": float(self.gap[0]),
+            "gap_end_um": float(self.gap[-1]),
+            "normalised_gap_end": float(self.normalised_gap[-1]),
+            "gap_speed_nm_s": float(np.nanmean(self.gap_speed)),
+            "gap_speed_one_cell_nm_s": float(np.nanmean(self.gap_alone)),
+            "periphery_speed_nm_s": float(np.nanmean(self.periphery_speed)),
+            "periphery_speed_one_cell_nm_s": float(np.nanmean(self.periphery_alone)),
+        }
+
+    def __str__(self) -> str:
+        m = self.means()
+        return (
+            f"edge gap {m['gap_start_um']:.1f} -> {m['gap_end_um']:.1f} um; matrix speed in the "
+            f"gap {m['gap_speed_nm_s']:.2f} nm/s (one cell alone {m['gap_speed_one_cell_nm_s']:.2f}"
+            f"), at the periphery {m['periphery_speed_nm_s']:.2f} (one cell alone "
+            f"{m['periphery_speed_one_cell_nm_s']:.2f})"
+        )
+
+
+def regions(
+    run: Trajectory, rest: np.ndarray, first: str = "cell1", second: str = "cell2"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which matrix nodes lie between two cells, and which away from both, at each sample.
+
+    *Gap*: between the centres, within half the smaller contact radius of their line, under
+    neither cell. *Periphery*: farther than two contact radii from the line that joins the
+    centres, inside `RIM` of the matrix radius.
+
+    Returns
+    -------
+    gap, periphery : bool arrays (T, N)
+    """
+    rest = np.asarray(rest, float)[:, :2]
+    a, b = run.block(f"{first}.position"), run.block(f"{second}.position")
+    radius = np.hypot(*rest.T)
+    inside = radius < RIM * radius.max()
+    gap, periphery = [], []
+    for p, q in zip(a, b, strict=True):
+        centres = [p[:, :2].mean(axis=0), q[:, :2].mean(axis=0)]
+        reach = [contact_radius(p), contact_radius(q)]
+        off = [np.linalg.norm(rest - c, axis=1) for c in centres]
+        e = centres[1] - centres[0]
+        distance = float(np.linalg.norm(e))
+        e = e / distance
+        along = (rest - centres[0]) @ e
+        aside = np.abs((rest - centres[0]) @ np.array([-e[1], e[0]]))
+        # A cell that has not spread yet counts with half its radius.
+        size = [max(r, 0.25 * float(np.ptp(x[:, 0]))) for r, x in zip(reach, (p, q), strict=True)]
+        free = (off[0] > reach[0]) & (off[1] > reach[1])
+        between = free & (along > 0) & (along < distance)
+        gap.append(between & (aside < 0.5 * min(size)))
+        nearest = np.hypot(aside, np.maximum(np.maximum(-along, along - distance), 0.0))
+        periphery.append(inside & (nearest > 2.0 * max(size)))
+    return np.array(gap), np.array(periphery)
+
+
+def observe_pair(
+    run: Trajectory, alone: Sequence[Trajectory], rest: np.ndarray
+) -> PairReadout:
+    """Gap and matrix speeds of a pair, with the one-cell controls over the same nodes.
+
+    Parameters
+    ----------
+    run : Trajectory
+        With ``cell1``, ``cell2`` and ``matrix.displacement``.
+    alone : sequence of Trajectory
+        Each cell alone at the same place on the same matrix, at least as long (`alone_scenes`).
+    rest : (N, 3)
+        Rest positions of the matrix nodes, um.
+
+    Raises
+    ------
+    DimensionError, DataError
+        No control, other times, another matrix.
+    """
+    if not alone:
+        raise DataError("a pair is read beside its one-cell controls; run alone_scenes(scene)")
+    T = len(run)
+    speeds = [1e3 * node_speed(run, "matrix.displacement")]
+    for single in alone:
+        if len(single) < T or not np.allclose(single.t[:T], run.t):
+            raise DimensionError("a one-cell control must be sampled at the times of the pair")
+        speeds.append(1e3 * node_speed(single, "matrix.displacement")[: T - 1])
+        if speeds[-1].shape != speeds[0].shape or len(rest) != speeds[0].shape[1]:
+            raise DimensionError("pair, controls and rest positions must be of one matrix")
+    gap, periphery = regions(run, rest)
+
+    def mean(speed: np.ndarray, mask: np.ndarray) -> np.ndarray:
+        count = mask[:-1].sum(axis=1)
+        total = np.where(mask[:-1], speed, 0.0).sum(axis=1)
+        return np.divide(total, count, out=np.full(T - 1, np.nan), where=count > 0)
+
+    between = edge_gap(run)
+    return PairReadout(
+        run.t[:-1],
+        between,
+        between / between[0],
+        mean(speeds[0], gap),
+        mean(speeds[0], periphery),
+        np.mean([mean(s, gap) for s in speeds[1:]], axis=0),
+        np.mean([mean(s, periphery) for s in speeds[1:]], axis=0),
+    )
+
+
+def speed_against_spacing(readouts: Sequence[PairReadout]) -> np.ndarray:
+    """Rows (start gap um, gap speed, one-cell control; nm/s) of several pairs, by spacing."""
+    rows = [
+        (r.gap[0], np.nanmean(r.gap_speed), np.nanmean(r.gap_alone)) for r in readouts
+    ]
+    return np.array(sorted(rows), dtype=float).reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Attenuation:
+    """How a matrix displacement decays away from a cell: u ~ exp(-r/length).
+
+    Attributes
+    ----------
+    length : float
+        um.
+    radius, displacement : arrays
+        Bins from the contact radius to the rim, um, and rms displacement there, um.
+    residual : float
+        Rms of the logarithm left over.
+    """
+
+    length: float
+    radius: np.ndarray
+    displacement: np.ndarray
+    residual: float
+
+    def __str__(self) -> str:
+        return f"attenuation length {self.length:.1f} um (residual of the log {self.residual:.2f})"
+
+
+def attenuation_length(
+    run: Trajectory, rest: np.ndarray, *, cell: str = "cell1", sample: int = -1, bins: int = 12
+) -> Attenuation:
+    """Attenuation length of the matrix around one cell, by a straight line through the logarithm.
+
+    Parameters
+    ----------
+    run : Trajectory
+        With one cell and ``matrix.displacement``.
+    rest : (N, 3)
+        um.
+    cell : str
+    sample : int
+        Which sample.
+    bins : int
+        Rings of equal width between the contact radius and the rim.
+
+    Raises
+    ------
+    DataError
+        Fewer than three rings hold nodes that move, or nothing decays.
+    """
+    x = run.block(f"{cell}.position")[sample]
+    u = np.linalg.norm(run.block("matrix.displacement")[sample], axis=1)
+    rest = np.asarray(rest, float)
+    if len(rest) != len(u):
+        raise DimensionError(f"rest must hold {len(u)} nodes, got {len(rest)}")
+    centre = x[:, :2].mean(axis=0)
+    away = np.linalg.norm(rest[:, :2] - centre, axis=1)
+    size = np.hypot(rest[:, 0], rest[:, 1])
+    outer = RIM * size.max() - float(np.linalg.norm(centre))
+    edges = np.linspace(max(contact_radius(x), 0.5 * float(np.ptp(x[:, 0]))), outer, bins + 1)
+    radius, rms = [], []
+    for low, high in pairwise(edges):
+        ring = (away >= low) & (away < high)
+        value = float(np.sqrt(np.mean(u[ring] ** 2))) if ring.any() else 0.0
+        if value > 0:
+            radius.append(0.5 * (low + high))
+            rms.append(value)
+    if len(radius) < 3:
+        raise DataError(f"only {len(radius)} rings of the matrix move; no decay can be fitted")
+    radius, rms = np.array(radius), np.array(rms)
+    slope, level = np.polyfit(radius, np.log(rms), 1)
+    if not slope < 0:
+        raise DataError("the displacement does not fall with the distance from the cell")
+    left = np.log(rms) - (level + slope * radius)
+    return Attenuation(float(-1.0 / slope), radius, rms, float(np.sqrt(np.mean(left**2))))
+
+
+def alone_scenes(scene: Any) -> list[Any]:
+    """The one-cell controls of a scene: each of its cells alone, at its place, same matrix."""
+    if len(scene.cells) < 2:
+        raise ParameterError("a one-cell control needs a scene of at least two cells")
+    return [
+        replace(scene, cells=(cell,), name=f"{scene.name}, cell {k} alone")
+        for k, cell in enumerate(scene.cells, start=1)
+    ]
