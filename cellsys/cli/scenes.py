@@ -1,4 +1,4 @@
-"""Commands that take a scene: run, effects, schema."""
+"""Commands that take a scene: run, schema."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from cellsys.cli.console import Json, Quiet, SceneFile, app, dump, print_table, progress_bars
+from cellsys.cli.console import Json, Quiet, SceneFile, app, dump, progress_bars
 
 
 @app.command()
@@ -41,23 +41,6 @@ def run(
         return
     print(result.report())
     print(f"\nreport: {folder / 'report.html'}")
-
-
-@app.command()
-def effects(
-    scene: Annotated[Path | None, typer.Argument(help="A scene file (toml).")] = None,
-    as_json: Json = False,
-) -> None:
-    """List all effects, or what a scene builds."""
-    from cellsys.scene.listing import effect_table, scene_table
-
-    rows = effect_table() if scene is None else scene_table(scene)
-    if as_json:
-        dump(rows)
-        return
-    head = list(rows[0])
-    title = "effects" if scene is None else f"what {scene.name} builds"
-    print_table(title, head, [[str(r[h]) for h in head] for r in rows])
 
 
 @app.command()

@@ -153,6 +153,7 @@ class SpreadingSystem(OverdampedSystem):
             ("cells", cells),
             ("matrix", matrix),
             ("elements", elements),
+            ("arrays", nodes),
             ("_arrays", arrays),
             ("_drag", c),
             ("_mobility", mobility),

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from cellsys.mechanics.crawler import CrawlerSystem
 from cellsys.scene.build import build
 from cellsys.scene.parse import load_scene
 from cellsys.scene.registry import EFFECTS
+from cellsys.scene.timing import effect_of, time_shares
 
 
 def effect_table() -> list[dict[str, str]]:
@@ -34,7 +38,57 @@ def effect_table() -> list[dict[str, str]]:
     return rows
 
 
-def scene_table(path: Path) -> list[dict[str, int | str]]:
+def effect_list() -> list[dict[str, str]]:
+    """One row per effect: what it is, where it acts, what it needs and what it excludes."""
+    return [
+        {
+            "effect": name,
+            "acts on": effect.acts_on,
+            "needs": ", ".join(need.replace("|", " or ") for need in effect.needs),
+            "excludes": ", ".join(effect.excludes),
+            "what it is": (effect.__doc__ or "").strip().partition("\n")[0],
+        }
+        for name, effect in EFFECTS.items()
+    ]
+
+
+def scene_effects(path: str | Path, seconds: float = 20.0) -> list[dict[str, Any]]:
+    """One row per effect of a scene: states, auxiliaries, columns of W_eta, share of the time.
+
+    The shares come from `seconds` s of the scene, timed after as many to warm up; the last row
+    is what no effect accounts for, the solve above all. On a chain: `scene_table`.
+    """
+    scene = load_scene(path)
+    system = build(scene)
+    if isinstance(system, CrawlerSystem):
+        return scene_table(path)
+    empty = dict.fromkeys(
+        ("elements", "states", "auxiliaries", "columns of W_eta", "input forces"), 0
+    )
+    acting = np.diff(system.W_eta.tocsc().indptr) > 0
+    rows: dict[str, dict[str, Any]] = {}
+    for element in system.elements:
+        ports = [p.block for p in element.ports]
+        inside = [f"{b.name}.rate" for b in element.internal]
+        own = rows.setdefault(effect_of(element), dict(empty))
+        own["elements"] += 1
+        own["states"] += sum(b.size for b in element.internal)
+        own["auxiliaries"] += sum(system.auxiliaries[b].size for b in (*ports, *inside))
+        own["columns of W_eta"] += sum(
+            int(acting[system.auxiliaries.slice(b)].sum()) for b in (*ports, *inside)
+        )
+        own["input forces"] += sum(system.nodes_of(p.array) * 3 for p in element.inputs)
+    for array in system.arrays:
+        if array.name.count("."):  # node arrays that an effect brings along
+            rows[array.name.rpartition(".")[2]]["states"] += array.block.size
+    shares = time_shares(system, scene.step, seconds, scene.seed)
+    return [
+        {"effect": name, **rows.get(name, empty), "share of time": shares.get(name, 0.0)}
+        for name in [*scene.effects, *(n for n in shares if n not in scene.effects)]
+    ]
+
+
+def scene_table(path: str | Path) -> list[dict[str, int | str]]:
     """One row per element of a scene: states, auxiliaries (columns of W_eta), input forces.
 
     On a chain: one row per cell and one for the chain.

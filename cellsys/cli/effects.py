@@ -1,0 +1,86 @@
+"""``cellsys effects``: what effects there are, what a scene builds of them, what each is worth."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cellsys.cli.console import Json, Quiet, app, dump, print_table, progress_bars
+
+
+@app.command()
+def effects(
+    scene: Annotated[Path | None, typer.Argument(help="A scene file (toml) or a preset.")] = None,
+    measure: Annotated[
+        bool, typer.Option("--measure", help="Run the scene without each effect in turn.")
+    ] = False,
+    duration: Annotated[
+        float, typer.Option(help="Length of the --measure runs in s; 0: the scene's own.")
+    ] = 300.0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """List all effects, what a scene builds of them, or what each of them is worth to it."""
+    from cellsys.errors import ParameterError
+
+    if scene is None:
+        if measure:
+            raise ParameterError("--measure needs a scene to run; name a file or a preset")
+        _list_all(as_json)
+    elif measure:
+        if not 0.0 <= duration < float("inf"):
+            raise ParameterError(f"--duration must be >= 0 s, got {duration:g}")
+        _measure(scene, duration, as_json, quiet)
+    else:
+        _list_scene(scene, as_json)
+
+
+def _list_all(as_json: bool) -> None:
+    from cellsys.scene.listing import effect_list, effect_table
+
+    rows = effect_table()
+    if as_json:
+        dump(rows)
+        return
+    short = effect_list()
+    _table("effects", short)
+    _table("their parameters", [{k: v for k, v in r.items() if k != "needs"} for r in rows])
+
+
+def _list_scene(scene: Path, as_json: bool) -> None:
+    from cellsys.scene.listing import scene_effects
+
+    rows = scene_effects(scene)
+    if as_json:
+        dump(rows)
+        return
+    for row in rows:
+        if "share of time" in row:
+            row["share of time"] = f"{100 * row['share of time']:.1f} %"
+    _table(f"what {scene.name} builds", rows)
+
+
+def _measure(scene: Path, duration: float, as_json: bool, quiet: bool) -> None:
+    from cellsys.scene import load_scene
+    from cellsys.study.leave_one_out import leave_one_out
+
+    loaded = load_scene(scene)
+    length = loaded.duration if duration == 0.0 else min(duration, loaded.duration)
+    with progress_bars(quiet) as progress:
+        result = leave_one_out(loaded, duration=length, progress=progress)
+    if as_json:
+        dump({"duration_s": length, "effects": [dataclasses.asdict(w) for w in result]})
+        return
+    print(f"{loaded.name}, {length:g} s, without each effect in turn:")
+    for worth in result:
+        print(f"  {worth}")
+
+
+def _table(title: str, rows: list[dict[str, Any]]) -> None:
+    from rich.markup import escape
+
+    head = list(rows[0])
+    print_table(title, head, [[escape(str(r[h])) for h in head] for r in rows])

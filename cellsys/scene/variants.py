@@ -1,0 +1,162 @@
+"""Scenes made from a scene: with other values, or with one effect left out."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import itertools
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cellsys.errors import SceneError
+from cellsys.scene.inherit import find_scene, inherited, read_table
+from cellsys.scene.parse import parse_scene
+from cellsys.scene.scene import Scene
+
+
+def without(scene: Scene, name: str) -> tuple[Scene, tuple[str, ...]]:
+    """The scene without an effect, and the effects that went with it because they need it.
+
+    Raises
+    ------
+    SceneError
+        When the scene does not have the effect, or is none without it.
+    """
+    if name not in scene.effects:
+        raise SceneError(
+            f"the scene has no effect {name!r}; it has {', '.join(scene.effects) or 'none'}"
+        )
+    gone = {name}
+    while True:
+        left = {n: e for n, e in scene.effects.items() if n not in gone}
+        more = {
+            n
+            for n, e in left.items()
+            for need in e.needs
+            if not any(choice in left for choice in need.split("|"))
+        }
+        if not more:
+            break
+        gone |= more
+    cells = tuple(
+        dataclasses.replace(c, effects={n: e for n, e in c.effects.items() if n not in gone})
+        for c in scene.cells
+    )
+    return dataclasses.replace(scene, effects=left, cells=cells), tuple(sorted(gone - {name}))
+
+
+def split_values(text: str) -> list[str]:
+    """Values between commas; commas inside brackets, braces or quotes belong to a value."""
+    values, depth, quote, start = [], 0, "", 0
+    for place, sign in enumerate(text):
+        if quote:
+            quote = "" if sign == quote else quote
+        elif sign in "\"'":
+            quote = sign
+        elif sign in "[{":
+            depth += 1
+        elif sign in "]}":
+            depth -= 1
+        elif sign == "," and depth == 0:
+            values.append(text[start:place].strip())
+            start = place + 1
+    return [*values, text[start:].strip()]
+
+
+def read_value(text: str) -> Any:
+    """A TOML value, or the text itself: `3` is a number, `100 pN` a string."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def read_setting(text: str) -> tuple[str, list[str]]:
+    """``key=value,value`` as the key and its values.
+
+    Raises
+    ------
+    SceneError
+        Without a key, an equals sign or a value.
+    """
+    key, equals, values = text.partition("=")
+    listed = split_values(values)
+    if not (equals and key.strip() and all(listed)):
+        raise SceneError(
+            f"--set {text!r} must read key=value,value such as "
+            "effects.lamellipodium.force='100 pN,200 pN'"
+        )
+    return key.strip(), listed
+
+
+def with_value(table: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
+    """A copy of a scene table with the entry at a dotted key set; cells by number from 0.
+
+    Raises
+    ------
+    SceneError
+        When the key leads through something that is no table, or to a cell that does not exist.
+    """
+    out = copy.deepcopy(dict(table))
+    place: Any = out
+    parts = key.split(".")
+    for depth, part in enumerate(parts):
+        last = depth == len(parts) - 1
+        if isinstance(place, list):
+            if not part.isdigit() or int(part) >= len(place):
+                raise SceneError(
+                    f"key {key!r}: {'.'.join(parts[:depth])} has entries 0 to {len(place) - 1}, "
+                    f"not {part!r}"
+                )
+            index: Any = int(part)
+        elif isinstance(place, dict):
+            index = part
+        else:
+            raise SceneError(f"key {key!r}: {'.'.join(parts[:depth])} is a value, not a table")
+        if last:
+            place[index] = value
+        else:
+            if isinstance(place, dict):
+                place.setdefault(index, {})
+            place = place[index]
+    return out
+
+
+def variants(
+    path: str | Path, settings: Sequence[tuple[str, Sequence[str]]]
+) -> list[tuple[dict[str, str], Scene]]:
+    """All combinations of the values of some keys, each as (values by key, scene).
+
+    Parameters
+    ----------
+    path : path or str
+        Scene file or preset.
+    settings : sequence of (key, values)
+        Dotted keys of the scene file, values as they would stand in it.
+
+    Raises
+    ------
+    SceneError
+        For the first combination that is no scene, before anything is run.
+    """
+    source = find_scene(path)
+    table = inherited(read_table(source), source.parent)
+    keys = [key for key, _ in settings]
+    twice = {key for key in keys if keys.count(key) > 1}
+    if twice:
+        raise SceneError(f"key {sorted(twice)[0]!r} is set twice; list its values once")
+    out = []
+    for values in itertools.product(*(v for _, v in settings)):
+        changed = table
+        chosen = dict(zip(keys, values, strict=True))
+        for key, value in chosen.items():
+            changed = with_value(changed, key, read_value(value))
+        label = ", ".join(f"{k} = {v}" for k, v in chosen.items())
+        try:
+            scene = parse_scene(changed, folder=source.parent)
+        except SceneError as error:
+            raise SceneError(f"{source.name} with {label}: {error}") from error
+        out.append((chosen, dataclasses.replace(scene, name=f"{scene.name}: {label}")))
+    return out

@@ -1,0 +1,140 @@
+"""What each effect of a scene is worth: its share of the time, and what its absence changes."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellsys.errors import IntegrationError, SceneError
+from cellsys.observe.read_outs import read_outs
+from cellsys.scene.build import build
+from cellsys.scene.chain import ChainScene
+from cellsys.scene.ensemble import run_scene
+from cellsys.scene.scene import Scene
+from cellsys.scene.timing import time_shares
+from cellsys.scene.variants import without
+from cellsys.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Worth:
+    """One effect of a scene.
+
+    Parameters
+    ----------
+    effect : str
+        Its name.
+    with_it : tuple of str
+        Effects that went with it because they need it.
+    share : float
+        Of the time of a run with everything, 0 to 1.
+    saved : float
+        Share of the run's time that was saved without it, nan when that run failed.
+    motion : float
+        |x without - x with| / |x with - x0| over all node positions at the end, nan likewise.
+    changes : dict
+        Relative change of every read-out.
+    note : str
+        Why there is no run without it, or how it failed.
+    """
+
+    effect: str
+    with_it: tuple[str, ...]
+    share: float
+    saved: float
+    motion: float
+    changes: dict[str, float]
+    note: str = ""
+
+    def __str__(self) -> str:
+        also = f" (with {', '.join(self.with_it)})" if self.with_it else ""
+        head = f"{self.effect.replace('_', ' ')}{also}: {100 * self.share:.0f} % of the time"
+        if self.note:
+            return f"{head}; {self.note}"
+        told = {"contact_radius_um": "spreading", "crawl_um": "crawling",
+                "matrix_displacement_um": "the matrix", "centre_um": "crawling"}  # fmt: skip
+        parts = [
+            f"{told[name]} by {100 * abs(change):.0f} %"
+            for name, change in self.changes.items()
+            if name in told and np.isfinite(change)
+        ]
+        parts.append(f"all motion by {100 * self.motion:.0f} %")
+        return f"{head}, changes {', '.join(parts)}"
+
+
+def leave_one_out(
+    scene: Scene,
+    *,
+    duration: float | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> list[Worth]:
+    """Run a scene once with everything and once without each of its effects.
+
+    Parameters
+    ----------
+    scene : Scene
+        On a disc, or a free membrane; a chain has no effects.
+    duration : float, optional
+        Length of the runs, s; default the scene's own.
+    progress : callable, optional
+        Called with (what, share done).
+
+    Raises
+    ------
+    SceneError
+        For a scene on a chain.
+    """
+    if isinstance(scene.matrix, ChainScene):
+        raise SceneError("a scene with matrix.kind = 'chain' has no effects to leave out")
+    if duration is not None:
+        scene = dataclasses.replace(scene, duration=duration, sample=min(scene.sample, duration))
+    tell = progress if progress is not None else lambda stage, share: None
+    shares = time_shares(build(scene), scene.step, min(20.0, scene.duration), scene.seed)
+    whole, took = _timed(scene)
+    names = list(scene.effects)
+    tell("runs without", 1.0 / (len(names) + 1))
+    out = []
+    for k, name in enumerate(names, start=2):
+        out.append(_worth(scene, name, whole, took, shares.get(name, 0.0)))
+        tell("runs without", k / (len(names) + 1))
+    return sorted(out, key=lambda w: -w.share)
+
+
+def _timed(scene: Scene) -> tuple[Trajectory, float]:
+    began = time.perf_counter()
+    run = run_scene(scene)
+    return run, time.perf_counter() - began
+
+
+def _worth(scene: Scene, name: str, whole: Trajectory, took: float, share: float) -> Worth:
+    nan = float("nan")
+    try:
+        rest, also = without(scene, name)
+    except SceneError as error:
+        return Worth(name, (), share, nan, nan, {}, f"cannot be left out: {error}")
+    try:
+        run, time_without = _timed(rest)
+    except IntegrationError as error:
+        return Worth(name, also, share, nan, nan, {}, f"without it the run fails: {error}")
+    before, after = read_outs(whole), read_outs(run)
+    changes = {
+        key: (after[key] - value) / value if value else nan
+        for key, value in before.items()
+        if key in after
+    }
+    saved = 1.0 - time_without / took
+    return Worth(name, also, share, saved, _motion(whole, run), changes)
+
+
+def _motion(whole: Trajectory, run: Trajectory) -> float:
+    moved, apart = 0.0, 0.0
+    for block in whole.states:
+        if block.kind == "position" and block.name in run.states:
+            x = whole.block(block.name)
+            moved += float(((x[-1] - x[0]) ** 2).sum())
+            apart += float(((run.block(block.name)[-1] - x[-1]) ** 2).sum())
+    return float(np.sqrt(apart / moved)) if moved > 0 else 0.0
