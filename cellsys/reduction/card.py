@@ -32,6 +32,13 @@ class Card:
         relative errors, and the model's MSE [thesis eq. 86] in um^2. Empty where not measured.
     verdict : str
         One sentence.
+    facts : mapping
+        What else is known of the model: data hashes, representation, certificates.
+    floors : mapping
+        Relative differences no model can go below: perturbation of the start, realisation of the
+        network; where they were measured.
+    warnings : tuple of str
+        What the data cannot show.
     """
 
     order: int
@@ -45,10 +52,13 @@ class Card:
     held_out: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     input_share_explained: float | None = None
     verdict: str = ""
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    floors: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     def table(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return asdict(self) | {"runs": list(self.runs)}
+        return asdict(self) | {"runs": list(self.runs), "warnings": list(self.warnings)}
 
     def __str__(self) -> str:
         lines = [
@@ -66,8 +76,29 @@ class Card:
                     f"{k} {_number(v)}{' um^2' if k == 'mse' else ''}" for k, v in row.items()
                 )
                 lines.append(f"{title:9s} {block}: {parts}")
+        for title, known in (("known", self.facts), ("floor", self.floors)):
+            lines += [f"{title:9s} {key}: {_shown(value)}" for key, value in known.items()]
+        lines += [f"warning: {text}" for text in self.warnings]
         lines.append(f"verdict: {self.verdict}")
         return "\n".join(lines)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{k} {_shown(v)}" for k, v in value.items())
+    if isinstance(value, (list, tuple)):
+        return " ".join(_shown(v) for v in value)
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+BASELINES = (
+    "nothing moves",
+    "mean velocity",
+    "mean motion",
+    "nearest run",
+    "linear in polarity",
+    "body-frame mean",
+)
 
 
 def _number(value: float) -> str:
@@ -88,7 +119,7 @@ def verdict(
     block, row = next(iter(shown.items()))
     model, best_name = (
         row["model"],
-        min(("nothing moves", "mean velocity", "mean motion"), key=lambda k: row[k]),
+        min((k for k in BASELINES if k in row), key=lambda k: row[k]),
     )
     best = row[best_name]
     if not model < DIVERGED:

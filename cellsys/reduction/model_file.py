@@ -61,7 +61,9 @@ def load_model(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray] 
 
 def card_from(table: dict[str, Any] | None) -> Card | None:
     """A card from its table."""
-    return None if table is None else Card(**(table | {"runs": tuple(table["runs"])}))
+    return None if table is None else Card(
+        **(table | {k: tuple(table.get(k, ())) for k in ("runs", "warnings")})
+    )
 
 
 def layout_table(layout: Layout | None) -> list | None:

@@ -11,6 +11,7 @@ import numpy as np
 from cellsys.errors import ParameterError
 from cellsys.reduction.assessment import Encoded, assess, encode_all, encode_start
 from cellsys.reduction.basis import Basis, fit_basis
+from cellsys.reduction.equivariant.reductor import Equivariant
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.pcr import PCR
 from cellsys.reduction.regression import LatentParts
@@ -37,8 +38,8 @@ def reduce(
         m; give this or `tol`.
     tol : float, optional
         Smallest order whose basis leaves at most this share of the snapshots' squared norm.
-    method : PCR or LeastSquares, optional
-        Default `PCR()`.
+    method : reductor, optional
+        `PCR()` (default), `LeastSquares()`, `Ridge(...)`, `Contractive(...)`, `Equivariant()`.
     test : Snapshots, optional
         Held-out runs; their roll-out errors go on the card.
     basis : Basis, optional
@@ -52,6 +53,9 @@ def reduce(
     if (order is None) == (tol is None):
         raise ParameterError("give either order= or tol=")
     method = PCR() if method is None else method
+    if isinstance(method, Equivariant):
+        order = method.order_for(data, float(tol)) if order is None else order
+        return method.learn(data, order, test)
     if order is None:
         order, basis = _order_for(data, float(tol), getattr(method, "svd", None))
     return complete(method.fit(data, order, basis), data, test)

@@ -69,9 +69,7 @@ def turn(values: np.ndarray, q: int, alpha: float) -> np.ndarray:
     return values * np.exp(1j * q * alpha) if q else values
 
 
-def command_features(
-    amplitude: np.ndarray, heading: np.ndarray, q: int
-) -> np.ndarray:
+def command_features(amplitude: np.ndarray, heading: np.ndarray, q: int) -> np.ndarray:
     """[1, a - 1] e^{i q theta}, (..., 2); real for charge 0."""
     both = np.stack([np.ones_like(amplitude), amplitude - 1.0], axis=-1)
     return both if q == 0 else both * np.exp(1j * q * heading)[..., None]

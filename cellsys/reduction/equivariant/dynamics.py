@@ -206,9 +206,7 @@ class CellDynamics:
 
     def labels(self) -> np.ndarray:
         """Charge of every real state; -1 marks the centroid."""
-        each = [
-            np.full(b.size * (1 if q == 0 else 2), q) for q, b in enumerate(self.blocks)
-        ]
+        each = [np.full(b.size * (1 if q == 0 else 2), q) for q, b in enumerate(self.blocks)]
         return np.concatenate([*each, [-1, -1]])
 
     def norm(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from cellsys.errors import FileFormatError
 from cellsys.reduction.equivariant.dynamics import CellDynamics, ChargeBlock, ReadOut
+from cellsys.reduction.equivariant.forecast import KINDS, ErrorBands, ValidityMonitor
 from cellsys.reduction.equivariant.port import PolarPort, PortSites
 from cellsys.reduction.equivariant.representation import CHARGES, CellRepresentation, ChargeModes
 from cellsys.reduction.equivariant.schedule import Clock
@@ -43,6 +45,9 @@ def write_parts(model: Any, path: str | Path) -> Path:
         arrays |= {f"{name} {k}": getattr(read, k) for k in ("R_z", "R_u", "R_y")}
     if model.z_start is not None:
         arrays["z_start"] = model.z_start
+    if model.bands is not None:
+        arrays |= {f"band {k}": v for k, v in model.bands.width.items()}
+        arrays["band times"] = model.bands.t
     if model.sensor is not None:
         arrays |= {f"sensor {k}": v for k, v in model.sensor.arrays().items()}
     port = model.representation.port
@@ -61,6 +66,10 @@ def write_parts(model: Any, path: str | Path) -> Path:
         "horizon": model.horizon,
         "card": None if model.card is None else model.card.table(),
         "notes": dict(model.notes),
+        "bands": None
+        if model.bands is None
+        else [list(model.bands.levels), model.bands.folds, model.bands.runs],
+        "monitor": None if model.monitor is None else asdict(model.monitor),
     }
     return save_archive(path, KIND, VERSION, arrays, metadata)
 
@@ -122,7 +131,23 @@ def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
             "sensor": StiffnessSensor(**sensor) if sensor else None,
             "card": card_from(meta["card"]),
             "notes": meta["notes"],
+            "bands": _bands(arrays, meta["bands"]),
+            "monitor": _monitor(meta["monitor"]),
         }
     except (KeyError, TypeError, ValueError) as error:
         raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
     return args, keywords
+
+
+def _bands(arrays: dict[str, np.ndarray], meta: list | None) -> ErrorBands | None:
+    if meta is None:
+        return None
+    levels, folds, runs = meta
+    width = {kind: arrays[f"band {kind}"] for kind in KINDS}
+    return ErrorBands(arrays["band times"], tuple(levels), width, folds, runs)
+
+
+def _monitor(meta: dict[str, Any] | None) -> ValidityMonitor | None:
+    if meta is None:
+        return None
+    return ValidityMonitor(**(meta | {k: tuple(meta[k]) for k in ("amplitude", "latent")}))

@@ -15,6 +15,7 @@ from cellsys.reduction.card import Card
 from cellsys.reduction.equivariant.charges import TOP
 from cellsys.reduction.equivariant.dynamics import CellDynamics, CellState
 from cellsys.reduction.equivariant.file import read_parts, write_parts
+from cellsys.reduction.equivariant.forecast import ErrorBands, Forecast, ValidityMonitor
 from cellsys.reduction.equivariant.port import PortSites
 from cellsys.reduction.equivariant.representation import CellRepresentation, ChargeModes
 from cellsys.reduction.model import LatentModel
@@ -63,6 +64,10 @@ class EquivariantModel(LatentModel):
         Name of the cell the layout is read for.
     horizon : float
         Length of the training runs, s.
+    bands : ErrorBands, optional
+        Half widths that `forecast` returns.
+    monitor : ValidityMonitor, optional
+        Trained ranges that `forecast` checks.
     """
 
     def __init__(
@@ -80,8 +85,12 @@ class EquivariantModel(LatentModel):
         sensor: StiffnessSensor | None = None,
         card: Card | None = None,
         notes: Mapping[str, Any] | None = None,
+        bands: ErrorBands | None = None,
+        monitor: ValidityMonitor | None = None,
     ) -> None:
         for name, value in (
+            ("bands", bands),
+            ("monitor", monitor),
             ("dynamics", dynamics),
             ("representation", representation),
             ("modes", modes),
@@ -107,8 +116,10 @@ class EquivariantModel(LatentModel):
         )
 
     def carrying(self, **changes: Any) -> EquivariantModel:
-        """The same model with another sensor, card, start or notes."""
+        """The same model with another sensor, card, start, bands, monitor or notes."""
         kept = {
+            "bands": self.bands,
+            "monitor": self.monitor,
             "cell": self.cell,
             "horizon": self.horizon,
             "z_start": self.z_start,
@@ -211,9 +222,7 @@ class EquivariantModel(LatentModel):
         """z (T, m + 2) from node positions (T, n, 3) and load charges."""
         centre, features = self.representation.features(nodes, loads)
         z = self.modes.encode(features)
-        x = tuple(
-            z[q] / b.spread for q, b in enumerate(self.dynamics.blocks)
-        )
+        x = tuple(z[q] / b.spread for q, b in enumerate(self.dynamics.blocks))
         return self.dynamics.join(CellState(x, centre[:, :2]))
 
     def _features(self, z: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
@@ -222,9 +231,8 @@ class EquivariantModel(LatentModel):
             raise DimensionError(f"z must have {self.order} entries, got {z.shape[-1]}")
         state = self.dynamics.split(z)
         latent = {
-            q: x * b.spread for q, (x, b) in enumerate(
-                zip(state.x, self.dynamics.blocks, strict=True)
-            )
+            q: x * b.spread
+            for q, (x, b) in enumerate(zip(state.x, self.dynamics.blocks, strict=True))
         }
         return state.place, self.modes.decode(latent)
 
@@ -294,6 +302,38 @@ class EquivariantModel(LatentModel):
         path = np.concatenate([[0.0], np.cumsum(step)])
         place = state.place + np.stack([path.real, path.imag], axis=-1)
         return dynamics.join(CellState(tuple(xs), place))
+
+    def forecast(
+        self,
+        amplitude: np.ndarray,
+        heading: np.ndarray,
+        *,
+        z0: np.ndarray | None = None,
+        t0: float = 0.0,
+        level: float = 0.95,
+    ) -> Forecast:
+        """Roll-out under amplitude and heading (K,) with error bands and validity flags.
+
+        `level` is one of the bands' levels; widths are NaN for a model without bands.
+        """
+        if z0 is None and self.z_start is None:
+            raise DataError("the model has no start; pass z0=")
+        start = self.z_start if z0 is None else np.asarray(z0, dtype=float)
+        amplitude, heading = np.asarray(amplitude, float), np.asarray(heading, float)
+        if amplitude.ndim != 1 or amplitude.shape != heading.shape or not len(amplitude):
+            raise DimensionError(
+                f"amplitude and heading must be (K,), got {amplitude.shape} and {heading.shape}"
+            )
+        if not (np.all(np.isfinite(amplitude)) and np.all(np.isfinite(heading))):
+            raise DataError("amplitude or heading holds NaN or inf")
+        z = self.simulate_commands(start, amplitude, heading, t0)
+        t = t0 + self.dt * np.arange(len(z))
+        width = np.full((len(z), 3), np.nan)
+        if self.bands is not None:
+            width[:, :2] = self.bands.at("plane", t, level)[:, None]
+            width[:, 2] = self.bands.at("height", t, level)
+        flags = () if self.monitor is None else self.monitor.check(self, t, z, amplitude, heading)
+        return Forecast(t, z, self.nodes(z), width, level, tuple(flags))
 
     # Files
 

@@ -1,14 +1,13 @@
 """The load port of a cell: force density on a disc that rides with the centroid.
 
-    density  f(r, phi) = sum_km f_km h_k(r) e^{i m phi},    h_k radial hats, |m| <= 4
-    scatter  node force F_j = A_j f(X_j - c)      gather  y = the transpose, so that f.y is power
+density  f(r, phi) = sum_km f_km h_k(r) e^{i m phi},    h_k radial hats, |m| <= 4
+scatter  node force F_j = A_j f(X_j - c)      gather  y = the transpose, so that f.y is power
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
@@ -117,9 +116,7 @@ class PolarPort:
         W, Z = dict(zip(m, flat, strict=True)), dict(zip(m, up, strict=True))
         return {q: pack(W, Z, q) for q in self.charges()}
 
-    def density(
-        self, at: tuple[np.ndarray, np.ndarray], load: dict[int, np.ndarray]
-    ) -> np.ndarray:
+    def density(self, at: tuple[np.ndarray, np.ndarray], load: dict[int, np.ndarray]) -> np.ndarray:
         """Density (n, 3), pN/um^2, from the charges of a load."""
         hats, powers = at
         W, Z = unpack(load, *self.sizes())

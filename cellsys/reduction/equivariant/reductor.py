@@ -11,8 +11,10 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.errors import DataError, ParameterError
+from cellsys.reduction.equivariant.certificate import card_of, sensor_of
 from cellsys.reduction.equivariant.charges import command_features
 from cellsys.reduction.equivariant.dynamics import CellDynamics, ChargeBlock, ReadOut
+from cellsys.reduction.equivariant.forecast import ValidityMonitor, conformal_bands, residuals
 from cellsys.reduction.equivariant.model import EquivariantModel
 from cellsys.reduction.equivariant.port import PolarPort, PortSites
 from cellsys.reduction.equivariant.records import CellRecord, cell_names, read_records, sites_of
@@ -21,6 +23,7 @@ from cellsys.reduction.equivariant.representation import (
     CellRepresentation,
     ChargeModes,
     fit_modes,
+    smallest_order,
 )
 from cellsys.reduction.equivariant.schedule import Clock
 from cellsys.reduction.equivariant.shape import ShapeBasis
@@ -32,6 +35,7 @@ from cellsys.reduction.equivariant.training import (
     roll_out,
     train,
 )
+from cellsys.reduction.equivariant.worth import roll_record
 from cellsys.reduction.snapshots import Snapshots
 
 
@@ -61,6 +65,8 @@ class Equivariant:
     port : PolarPort
     read_ridge : float
         Penalty of the centroid's read-out.
+    folds : int
+        Parts the runs are split into for the error bands; 0 makes none.
     """
 
     step: float = 10.0
@@ -73,6 +79,7 @@ class Equivariant:
     degree: int = 10
     port: PolarPort = field(default_factory=PolarPort)
     read_ridge: float = 1e-3
+    folds: int = 4
 
     def __post_init__(self) -> None:
         for name in ("step", "rate", "load_share", "ridge", "read_ridge"):
@@ -83,6 +90,8 @@ class Equivariant:
             raise ParameterError(
                 f"Equivariant.margin must be between 0 and 1 (or None), got {self.margin!r}"
             )
+        if self.folds < 0 or self.folds == 1:
+            raise ParameterError(f"Equivariant.folds must be 0 or >= 2, got {self.folds!r}")
         if self.iterations < 0:
             raise ParameterError(f"Equivariant.iterations must be >= 0, got {self.iterations!r}")
 
@@ -90,6 +99,14 @@ class Equivariant:
     def name(self) -> str:
         """Name in tables and cards."""
         return "Equivariant"
+
+    def order_for(self, data: Snapshots, tol: float) -> int:
+        """Smallest order whose modes leave at most `tol` of the features' squared norm."""
+        if not 0 < tol < 1:
+            raise ParameterError(f"tol must be between 0 and 1, got {tol!r}")
+        records = read_records(data, self.step, self.port, sites_of(data))
+        _, features = self._represent(records)
+        return smallest_order([f for _, f in features], tol) + 2
 
     def fit(
         self, data: Snapshots, order: int, basis: Any = None, parts: Any = None
@@ -152,6 +169,38 @@ class Equivariant:
         start = np.mean([model.encode_cell(r.nodes[:1], r.loads[:1])[0] for r in records], axis=0)
         return model.carrying(z_start=start)
 
+    def learn(self, data: Snapshots, order: int, test: Snapshots | None = None) -> EquivariantModel:
+        """`fit`, and with it the sensor, error bands, validity monitor and card.
+
+        Error bands take `folds` further fits, each without some of the runs; fewer than three
+        runs give none, and the card says so.
+        """
+        sites = sites_of(data)
+        records = read_records(data, self.step, self.port, sites)
+        held = [] if test is None else read_records(test, self.step, self.port, sites_of(test))
+        model = self.fit_records(records, data, order, sites)
+        bands = None
+        if self.folds and len(data.runs) >= 3:
+            misses = self.left_out(records, data, order, sites)
+            bands = conformal_bands(misses, self.step, min(self.folds, len(data.runs)))
+        model = model.carrying(bands=bands, monitor=ValidityMonitor.of(model, records))
+        model = model.carrying(sensor=sensor_of(model, data, records, test, held))
+        return model.carrying(card=card_of(model, data, records, held))
+
+    def left_out(
+        self, records: Sequence[CellRecord], data: Snapshots, order: int, sites: PortSites
+    ) -> list[dict[str, np.ndarray]]:
+        """Residuals of every record under a model that saw none of its run."""
+        runs = sorted({r.run for r in records})
+        folds = min(self.folds, len(runs))
+        misses = []
+        for fold in range(folds):
+            out = set(runs[fold::folds])
+            kept = [r for r in records if r.run not in out]
+            model = self.fit_records(kept, data, order, sites)
+            misses += [residuals(model, r, roll_record(model, r)) for r in records if r.run in out]
+        return misses
+
     def _represent(
         self, records: Sequence[CellRecord]
     ) -> tuple[CellRepresentation, list[tuple[np.ndarray, dict[int, np.ndarray]]]]:
@@ -200,9 +249,7 @@ class Equivariant:
             empty = ChargeParameters(np.zeros((H, 0, 0)), np.zeros((H, 0, 2)))
             return ChargeBlock(empty.A, empty.B, 0.0, C, spread), (empty, rows), []
         start = one_step(rows, self.ridge, np.inf if bound is None else bound)
-        best, losses = train(
-            start, rows, iterations=self.iterations, rate=self.rate, bound=bound
-        )
+        best, losses = train(start, rows, iterations=self.iterations, rate=self.rate, bound=bound)
         best.gamma = port_gain(best, rows)
         return ChargeBlock(best.A, best.B, best.gamma, C, spread), (best, rows), losses
 
@@ -222,8 +269,9 @@ class Equivariant:
         ridden = _stack(
             [np.array([y[1][hats : 2 * hats] for y in r.velocity]) for r in records], K, 1
         )
-        path = _stack([(c[:, :1] + 1j * c[:, 1:2]) - (c[0, 0] + 1j * c[0, 1]) for c, _ in features],
-                      K + 1, 1)[1:, :, 0]
+        path = _stack(
+            [(c[:, :1] + 1j * c[:, 1:2]) - (c[0, 0] + 1j * c[0, 1]) for c, _ in features], K + 1, 1
+        )[1:, :, 0]
         there = rows.counts[1:] > 0
 
         def regress(x: np.ndarray, velocity: np.ndarray | None) -> ReadOut:

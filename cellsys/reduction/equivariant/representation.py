@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.linalg as sla
 
-from cellsys.errors import RankError
+from cellsys.errors import ParameterError, RankError
 from cellsys.reduction.equivariant.charges import TOP, pack, unpack
 from cellsys.reduction.equivariant.port import PolarPort
 from cellsys.reduction.equivariant.shape import ShapeBasis
@@ -123,45 +123,89 @@ def fit_modes(features: Sequence[dict[int, np.ndarray]], order: int) -> ChargeMo
     """Modes of at most `order` real states, given out by the variance they bring per state.
 
     `features` are those of every run. A complex mode costs two states and brings the variance of
-    both parts; charges 0, 1 and 2 always get one.
+    both parts; charges 0 and 1 always get one.
 
     Raises
     ------
     RankError
-        When the order is below 5 or beyond the data.
+        When the order is below 3 or beyond the data.
     """
-    stacks = {}
-    for q in CHARGES:
-        rows = np.concatenate([f[q] for f in features])
-        stacks[q] = rows if q == 0 else np.concatenate([rows.real, rows.imag])
-    parts = {q: sla.svd(rows, full_matrices=False)[1:] for q, rows in stacks.items()}
-    rank = {q: int((s > 1e-10 * s[0]).sum()) if s[0] > 0 else 0 for q, (s, _) in parts.items()}
-    most = sum(r * (1 if q == 0 else 2) for q, r in rank.items())
-    if not 5 <= order <= most:
-        raise RankError(
-            f"order {order} cannot be met: charges 0, 1 and 2 need 5 states, and the data of these "
-            f"runs allow {most}"
+    return _Variance(features).modes(order)
+
+
+def smallest_order(features: Sequence[dict[int, np.ndarray]], tol: float) -> int:
+    """Fewest real states whose modes leave at most `tol` of the features' squared norm.
+
+    Raises
+    ------
+    ParameterError
+        When all modes of the data leave more.
+    """
+    variance = _Variance(features)
+    low, high = 3, variance.most
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if variance.left(middle) <= tol else (middle + 1, high)
+    if variance.left(low) > tol:
+        raise ParameterError(
+            f"tol = {tol:g} cannot be met: all modes of these runs leave {variance.left(low):.2g}"
         )
-    chosen = {q: 1 if q <= 2 else 0 for q in CHARGES}
-    used = 5
-    while True:
-        gains = {
-            q: parts[q][0][m] ** 2 / (1 if q == 0 else 2)
-            for q, m in chosen.items()
-            if m < rank[q] and used + (1 if q == 0 else 2) <= order
+    return low
+
+
+class _Variance:
+    """Singular values of every charge, and how an order is shared among them."""
+
+    def __init__(self, features: Sequence[dict[int, np.ndarray]]) -> None:
+        self.rows, self.parts = {}, {}
+        for q in CHARGES:
+            rows = np.concatenate([f[q] for f in features])
+            stack = rows if q == 0 else np.concatenate([rows.real, rows.imag])
+            self.rows[q], self.parts[q] = len(rows), sla.svd(stack, full_matrices=False)[1:]
+        self.rank = {
+            q: int((s > 1e-10 * s[0]).sum()) if s[0] > 0 else 0 for q, (s, _) in self.parts.items()
         }
-        if not gains:
-            break
-        best = max(gains, key=gains.get)
-        chosen[best] += 1
-        used += 1 if best == 0 else 2
-    V = {q: np.ascontiguousarray(parts[q][1][: chosen[q]].T) for q in CHARGES}
-    spread = {
-        q: parts[q][0][: chosen[q]] / np.sqrt(len(stacks[q]) / (1 if q == 0 else 2))
-        for q in CHARGES
-    }
-    tail = {
-        q: float(np.sum(parts[q][0][chosen[q] :] ** 2) / max(np.sum(parts[q][0] ** 2), 1e-300))
-        for q in CHARGES
-    }
-    return ChargeModes(V, spread, tail)
+        self.most = sum(r * _cost(q) for q, r in self.rank.items())
+
+    def shares(self, order: int) -> dict[int, int]:
+        """Modes per charge for an order."""
+        if not 3 <= order <= self.most or not (self.rank[0] and self.rank[1]):
+            raise RankError(
+                f"order {order + 2} cannot be met: the centroid and one mode of charges 0 and 1 "
+                f"need 5 states, and the data of these runs allow {self.most + 2}"
+            )
+        chosen = {q: 1 if q <= 1 else 0 for q in CHARGES}
+        used = 3
+        while True:
+            gains = {
+                q: self.parts[q][0][m] ** 2 / _cost(q)
+                for q, m in chosen.items()
+                if m < self.rank[q] and used + _cost(q) <= order
+            }
+            if not gains:
+                return chosen
+            best = max(gains, key=gains.get)
+            chosen[best] += 1
+            used += _cost(best)
+
+    def left(self, order: int) -> float:
+        """Share of the squared norm that an order leaves."""
+        chosen = self.shares(order)
+        lost = sum(float(np.sum(self.parts[q][0][m:] ** 2)) for q, m in chosen.items())
+        return lost / sum(float(np.sum(s**2)) for s, _ in self.parts.values())
+
+    def modes(self, order: int) -> ChargeModes:
+        """Modes, spreads and what is left of every charge."""
+        chosen = self.shares(order)
+        V = {q: np.ascontiguousarray(self.parts[q][1][:m].T) for q, m in chosen.items()}
+        spread = {q: self.parts[q][0][:m] / np.sqrt(self.rows[q]) for q, m in chosen.items()}
+        tail = {}
+        for q, (s, _) in self.parts.items():
+            total = float(np.sum(s**2))
+            tail[q] = float(np.sum(s[chosen[q] :] ** 2)) / total if total else 0.0
+        return ChargeModes(V, spread, tail)
+
+
+def _cost(q: int) -> int:
+    """Real states of one mode."""
+    return 1 if q == 0 else 2

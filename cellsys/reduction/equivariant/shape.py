@@ -104,9 +104,7 @@ class ShapeBasis:
         """Centroid (..., 3) and W_m, Z_m (..., n_m) of the change of shape from the sphere."""
         nodes = np.asarray(nodes, dtype=float)
         if nodes.shape[-2:] != self.material.shape:
-            raise DimensionError(
-                f"nodes must be (..., {len(self.material)}, 3), got {nodes.shape}"
-            )
+            raise DimensionError(f"nodes must be (..., {len(self.material)}, 3), got {nodes.shape}")
         centre = nodes.mean(axis=-2)
         change = nodes - centre[..., None, :] - self.sphere
         W_all = (change[..., 0] + 1j * change[..., 1]) @ self._fit.T

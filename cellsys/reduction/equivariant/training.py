@@ -3,7 +3,8 @@
 In whitened coordinates x and with real rows (real and imaginary parts of a charge are separate
 rows: the matrices are real),
 
-    x_k+1 = A_k x_k + B_k u_k - gamma (I + A_k)/2 v_k,     A_k = sum_h w_h(t_k) A_h,  ||A_h||_2 <= 1 - delta
+    x_k+1 = A_k x_k + B_k u_k - gamma (I + A_k)/2 v_k
+    A_k = sum_h w_h(t_k) A_h,    ||A_h||_2 <= 1 - delta
 
 v_k is the matrix velocity taken through the transposed load read-out. The loss is the squared
 error of the whole roll-out in physical units, its gradient the adjoint recursion.
@@ -104,9 +105,7 @@ def roll_out(p: ChargeParameters, data: ChargeData) -> np.ndarray:
     return x
 
 
-def loss_and_gradient(
-    p: ChargeParameters, data: ChargeData
-) -> tuple[float, ChargeParameters]:
+def loss_and_gradient(p: ChargeParameters, data: ChargeData) -> tuple[float, ChargeParameters]:
     """Mean squared roll-out error, and its gradient with respect to A, B and gamma."""
     A, _ = _step_terms(p, data)
     x = roll_out(p, data)
@@ -142,7 +141,9 @@ def _ported(A: np.ndarray, v: np.ndarray) -> np.ndarray:
 def port_gain(p: ChargeParameters, data: ChargeData) -> float:
     """Gain gamma >= 0 that lowers the roll-out loss most with A and B kept; often 0.
 
-    The roll-out is affine in gamma, so the loss is a parabola and its least point exact.
+    The roll-out is affine in gamma, so the loss is a parabola and its least point exact. A gain
+    that lowers the loss by less than 1 % is not determined by such data: then 0, and the cell
+    drives the field as a cascade.
     """
     if not np.any(data.v):
         return 0.0
@@ -152,7 +153,10 @@ def port_gain(p: ChargeParameters, data: ChargeData) -> float:
     weight = data.weight * data.counts[..., None]
     curvature = float(np.sum(weight * slope * slope))
     descent = float(np.sum(weight * slope * (data.x - without)))
-    return max(0.0, descent / curvature / unit) if curvature > 0 else 0.0
+    loss = float(np.sum(weight * (data.x - without) ** 2))
+    if not (curvature > 0 and descent > 0) or descent**2 / curvature < 0.01 * loss:
+        return 0.0
+    return descent / curvature / unit
 
 
 def train(

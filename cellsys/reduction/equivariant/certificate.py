@@ -1,0 +1,111 @@
+"""The card of an equivariant model."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from cellsys.reduction.card import Card, verdict
+from cellsys.reduction.equivariant.model import EquivariantModel
+from cellsys.reduction.equivariant.records import CellRecord, stride
+from cellsys.reduction.equivariant.worth import (
+    Baselines,
+    constant_headings,
+    measure,
+    representation_error,
+)
+from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
+from cellsys.reduction.snapshots import Snapshots
+
+
+def data_hash(data: Snapshots) -> list[str]:
+    """Twelve hex digits per run, of its first and last state and its commands."""
+    out = []
+    for run in data.runs:
+        digest = hashlib.sha256()
+        for part in (run.x[0], run.x[len(run.x) - 1], run.commands):
+            if part is not None:
+                digest.update(np.ascontiguousarray(part, dtype=float).tobytes())
+        out.append(digest.hexdigest()[:12])
+    return out
+
+
+def card_of(
+    model: EquivariantModel,
+    data: Snapshots,
+    records: Sequence[CellRecord],
+    held_out: Sequence[CellRecord] = (),
+) -> Card:
+    """Errors on training and held-out records beside floors and baselines, and what is certain."""
+    baselines = Baselines(tuple(records), model)
+    training = measure(model, records, baselines)
+    held = measure(model, held_out, baselines) if held_out else {}
+    growth = max(p.value.real for p in model.labelled_poles())
+    norm = model.dynamics.norm()
+    index = model.dynamics.passivity_index()
+    facts: dict[str, Any] = {
+        "data hashes": data_hash(data),
+        "order per charge": [b.size for b in model.dynamics.blocks] + ["and the centroid"],
+        "representation error": representation_error(model, records),
+        "contraction norm": f"{norm:.12g} ({_contraction(norm)})",
+        "port passivity index": f"{index:.2g} ({_passive(model, index)})",
+        "clock": f"{model.dynamics.clock.vertices} vertices, {model.dynamics.clock.tau:g} s",
+    }
+    warnings = []
+    if constant_headings(records):
+        warnings.append(
+            "the training runs keep one heading each: up to a rotation they are one trajectory, "
+            "so they cannot rank models; add turning commands"
+        )
+    text = verdict(model.order, growth, training, held)
+    return Card(
+        order=model.order,
+        method="Equivariant",
+        scale="block",
+        samples=sum(r.steps for r in records),
+        columns=data.n_columns,
+        runs=tuple(r.label for r in records),
+        spectral_abscissa=float(growth),
+        training=training,
+        held_out=held,
+        verdict=text,
+        facts=facts,
+        warnings=tuple(warnings),
+    )
+
+
+def _contraction(norm: float) -> str:
+    if norm < 1.0:
+        return "every roll-out is bounded, with bounded commands too"
+    return "free motion is bounded" if norm <= 1.0 + 1e-12 else "not contractive"
+
+
+def _passive(model: EquivariantModel, index: float) -> str:
+    if all(b.gamma == 0 for b in model.dynamics.blocks):
+        return "a cascade: no port gain is determined by the data"
+    return "passive" if index >= -1e-10 else "not passive"
+
+
+def sensor_of(
+    model: EquivariantModel,
+    data: Snapshots,
+    records: Sequence[CellRecord],
+    test: Snapshots | None,
+    held_out: Sequence[CellRecord],
+) -> StiffnessSensor | None:
+    """The sensor on charges and centroid of one-cell runs that recorded a direction; else None."""
+    if any(run.d is None or run.d.shape[1] != 1 for run in data.runs):
+        return None
+
+    def samples(of: Snapshots, rows: Sequence[CellRecord]) -> tuple[list, list]:
+        every = stride(of, model.dt)
+        return (
+            [model.encode_cell(r.nodes, r.loads) for r in rows],
+            [np.asarray(of.runs[r.run].d)[: r.steps * every + 1 : every, 0] for r in rows],
+        )
+
+    shown = samples(test, held_out) if test is not None and held_out else (None, None)
+    return fit_sensor(*samples(data, records), *shown)
