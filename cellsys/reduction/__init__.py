@@ -6,6 +6,15 @@ from cellsys.reduction.assessment import assess
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.card import Card
 from cellsys.reduction.certainty import PoleCertainty, pole_certainty
+from cellsys.reduction.contraction import Contraction, contraction
+from cellsys.reduction.contractive import Contractive
+from cellsys.reduction.equivariant.forecast import ErrorBands, Forecast, ValidityMonitor
+from cellsys.reduction.equivariant.model import EquivariantModel
+from cellsys.reduction.equivariant.on_field import CellsOnField
+from cellsys.reduction.equivariant.port import PolarPort
+from cellsys.reduction.equivariant.reductor import Equivariant
+from cellsys.reduction.equivariant.schedule import Clock
+from cellsys.reduction.equivariant.worth import realisation_floor
 from cellsys.reduction.least_squares import LeastSquares
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.pcr import PCR
@@ -30,22 +39,34 @@ __all__ = [
     "PCR",
     "Basis",
     "Card",
+    "CellsOnField",
+    "Clock",
+    "Contraction",
+    "Contractive",
+    "Equivariant",
+    "EquivariantModel",
+    "ErrorBands",
     "ExactSVD",
+    "Forecast",
     "FullField",
     "GalerkinField",
     "LatentModel",
     "LeastSquares",
+    "PolarPort",
     "PoleCertainty",
     "RandomisedSVD",
     "Ridge",
     "RunData",
     "Snapshots",
     "StiffnessSensor",
+    "ValidityMonitor",
     "assess",
+    "contraction",
     "fit_basis",
     "fit_sensor",
     "full_field",
     "pole_certainty",
+    "realisation_floor",
     "reduce",
     "reduce_orders",
     "snapshots",

@@ -118,3 +118,35 @@ def ar1_data(rho=0.5, N=20_000, dt=0.1, seed=0, runs=2):
         sp.csr_array((1, 1)),
         sp.csr_array(np.ones((1, 1))),
     )
+
+
+def spreading_data(seed=0, runs=4, T=120, n=40, n_eta=30, dt=5.0, first=0):
+    """Runs like those of a spreading cell: a slow transient, commands that turn, noise that
+    switches. Runs `first` to `first + runs` of one endless set, so that sets can be disjoint."""
+    rng = np.random.default_rng(seed)
+    rates = np.geomspace(2e-4, 0.05, n)
+    mix = np.linalg.qr(rng.standard_normal((n, n)))[0]
+    W_x = -(mix * rates) @ mix.T
+    W_eta = 0.004 * rng.standard_normal((n, n_eta))
+    M, U = rng.standard_normal((n_eta, n)) / np.sqrt(n), 0.05 * rng.standard_normal((2, n))
+    data = []
+    for i in range(first, first + runs):
+        own = np.random.default_rng([seed, i])
+        heading = np.cumsum(0.15 * own.standard_normal(T - 1)) + own.uniform(0, 2 * np.pi)
+        c = np.column_stack([np.cos(heading), np.sin(heading)])
+        x, eta = np.empty((T, n)), np.empty((T - 1, n_eta))
+        x[0] = 0.05 * own.standard_normal(n)
+        for k in range(T - 1):
+            eta[k] = np.tanh(M @ x[k]) + 0.2 * own.standard_normal(n_eta)
+            x[k + 1] = x[k] + dt * (W_x @ x[k] + W_eta @ eta[k] + c[k] @ U)
+        eta_start = np.tanh(M @ x[0])
+        data.append(RunData(x, eta, c @ U, c, eta_start=eta_start, label=f"run {i}"))
+    return Snapshots(
+        tuple(data),
+        layout(n),
+        layout(n_eta, "force", ("rate",)),
+        dt,
+        sp.csr_array(W_x),
+        sp.csr_array(W_eta),
+        ("cos", "sin"),
+    )
