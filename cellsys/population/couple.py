@@ -68,7 +68,9 @@ def couple(
             raise ParameterError(f"n_cells must be a whole number >= 1, got {n_cells!r}")
         sizes["n_cells"] = int(n_cells)
     if hasattr(coupling, "assemble_cells"):
-        return coupling.assemble_cells(model, sizes, controller=controller)
+        return coupling.assemble_cells(
+            model, sizes, controller=controller, sensor=sensor, normalise=normalise
+        )
     check_form(coupling)
     if not sizes:
         raise ParameterError("couple needs n_cells=, or a graph, positions or headings of K cells")

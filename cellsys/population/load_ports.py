@@ -11,7 +11,7 @@ placement: a certificate, not a simulation.                            [theory.m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -47,7 +47,8 @@ class LoadPorts:
     headings : (K,), optional
         rad; default 0.
     port : PatchPort or other, optional
-        Gives E_k = gather(field, position, heading); default a patch of 8 um, in the plane.
+        Gives E_k = gather(field, position, heading); default a patch of 8 um, in the plane. An
+        equivariant model brings its own.
     allow_active : bool
         Compute with a port of passivity index below -1e-10 instead of refusing it.
     """
@@ -72,27 +73,46 @@ class LoadPorts:
                 )
         object.__setattr__(self, "positions", x)
         object.__setattr__(self, "headings", theta)
-        if self.port is None:
-            object.__setattr__(self, "port", PatchPort())
 
     def assemble_cells(
-        self, model: Any, sizes: dict[str, int], *, controller: Any = None
-    ) -> PortedCells:
+        self,
+        model: Any,
+        sizes: dict[str, int],
+        *,
+        controller: Any = None,
+        sensor: Any = None,
+        normalise: bool = True,
+    ) -> Any:
         """Put cells at the ports; called by `couple`."""
         sizes = {**sizes, "LoadPorts.positions": len(self.positions)}
         if len(set(sizes.values())) > 1:
             raise DimensionError(f"numbers of cells differ: {sizes}")
+        if hasattr(model, "dynamics"):
+            return self._equivariant(model, controller, sensor, normalise)
         if not isinstance(model, CellPort):
             raise RepresentationError(
                 f"LoadPorts needs a cell with a load port, and a {type(model).__name__} has none; "
                 "use a CellPort or an Equivariant model"
             )
-        if model.n_loads != self.port.n_loads:
+        here = replace(self, port=PatchPort()) if self.port is None else self
+        if model.n_loads != here.port.n_loads:
             raise DimensionError(
-                f"the cell has {model.n_loads} loads, its port on the matrix {self.port.n_loads}"
+                f"the cell has {model.n_loads} loads, its port on the matrix {here.port.n_loads}"
             )
-        cells = PortedCells(model, self, controller)
-        passivity = cells.passivity
+        if sensor is not None:
+            model = replace(model, sensor=sensor)
+        cells = PortedCells(model, here, controller, normalise)
+        here.check_port(cells.passivity)
+        return cells
+
+    def check_port(self, passivity: PortPassivity) -> None:
+        """Refuse an active port, with the reason.
+
+        Raises
+        ------
+        ParameterError
+            When the index is below -1e-10 and `allow_active` is not set.
+        """
         if passivity.active and not self.allow_active:
             raise ParameterError(
                 f"the velocity input C makes the port active: passivity index "
@@ -100,6 +120,17 @@ class LoadPorts:
                 "fitted inputs become unstable from some number of cells on (numerics: 10). Use "
                 "CellPort.collocated(...), or allow_active=True to compute all the same"
             )
+
+    def _equivariant(self, model: Any, controller: Any, sensor: Any, normalise: bool) -> Any:
+        from cellsys.population.equivariant_cells import EquivariantCells
+
+        if self.port is not None:
+            raise ParameterError("an equivariant model has its own port; leave port= out")
+        sensor = model.sensor if sensor is None else sensor
+        if controller is not None and sensor is None:
+            raise ParameterError("a controller needs a sensor; the model has none, pass sensor=")
+        cells = EquivariantCells(model, self, controller, sensor, normalise)
+        self.check_port(cells.frozen().passivity)
         return cells
 
 
@@ -143,6 +174,7 @@ class PortedCells(Drawable):
     model: CellPort
     coupling: LoadPorts
     controller: Any = None
+    normalise: bool = True
 
     _figure: ClassVar[str] = "coupled_cells"
 

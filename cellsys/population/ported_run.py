@@ -62,7 +62,7 @@ def ported_loop(cells: Any) -> Any:
     else:
         A, B, b = (cell.A - np.eye(cell.order)) / cell.dt, cell.B / cell.dt, cell.offset / cell.dt
     model = LatentModel(A, B=B, offset=b, dt=cell.dt, input_names=cell.input_names)
-    return loop_of(model, cells.controller, cell.sensor, True)
+    return loop_of(model, cells.controller, cell.sensor, cells.normalise)
 
 
 def run_ported(

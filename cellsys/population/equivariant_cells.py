@@ -1,0 +1,249 @@
+"""Equivariant cells on one shared field: nonlinear runs, linear poles, one certificate.
+
+Each cell keeps its polarity: p turns exactly by half a step towards the sensed direction before
+and after every step of cells and field, in which loads and velocities are exchanged at the
+midpoint. What is certified (shapes, loads, field) does not depend on the commands.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from cellsys.drawable import Drawable
+from cellsys.errors import DimensionError, ParameterError
+from cellsys.integrate.simulate import check_times
+from cellsys.loop import PolarityLaw
+from cellsys.population.headings import turn
+from cellsys.population.load_ports import PortedCells
+from cellsys.population.polar import frozen_port, polar_gather
+from cellsys.population.poleset import PoleSet
+from cellsys.population.verdict import CoupledStability
+from cellsys.reduction.equivariant.on_field import CellsOnField
+from cellsys.system import Block, Layout
+from cellsys.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class EquivariantCells(Drawable):
+    """K equivariant cells on one field. Made by `couple(model, coupling=LoadPorts(...))`.
+
+    Attributes
+    ----------
+    model : EquivariantModel
+    coupling : LoadPorts
+        Field, positions and headings.
+    controller : PolarityLaw or None
+        None: headings keep their values, or follow the commands given to `simulate`.
+    sensor : StiffnessSensor or None
+    normalise : bool
+        Scale the sensed direction to unit length.
+    """
+
+    model: Any
+    coupling: Any
+    controller: PolarityLaw | None = None
+    sensor: Any = None
+    normalise: bool = True
+
+    _figure: ClassVar[str] = "coupled_cells"
+
+    @property
+    def n_cells(self) -> int:
+        """K."""
+        return len(self.coupling.positions)
+
+    @property
+    def order(self) -> int:
+        """Real latent states of one cell, its centroid among them."""
+        return self.model.order
+
+    @property
+    def route(self) -> str:
+        """Which route the linear questions take."""
+        return self.frozen().route
+
+    def frozen(self, t: float | None = None) -> PortedCells:
+        """Linear cells frozen at t (s since contact; default the end of training) at their places.
+
+        The field is linear about rest.
+        """
+        key = "end" if t is None else float(t)
+        kept = self.__dict__.setdefault("_frozen", {})
+        if key not in kept:
+            kept[key] = PortedCells(frozen_port(self.model, t), self._linear_coupling)
+        return kept[key]
+
+    @property
+    def _linear_coupling(self) -> Any:
+        from dataclasses import replace
+
+        field = self.coupling.field
+        return replace(self.coupling, port=polar_gather(self.model, field))
+
+    def pole_set(self, t: float | None = None) -> PoleSet:
+        """Poles of shapes, loads and field, frozen at t, 1/s; centroids are set apart."""
+        return self.frozen(t).pole_set()
+
+    def poles(self, t: float | None = None) -> np.ndarray:
+        """Every pole, frozen at t, 1/s."""
+        return self.frozen(t).poles()
+
+    def plant(self, t: float | None = None) -> Any:
+        """The frozen system as `control.StateSpace` with the model's step; no commands."""
+        return self.frozen(t).plant()
+
+    def stability(self) -> CoupledStability:
+        """The certificate: every vertex contractive in one norm, collocated port, passive field.
+
+        It holds for the schedule of the clock and for the nonlinear field as well, whose implicit
+        step never gains more energy than the work done on it.
+        """
+        from dataclasses import replace
+
+        report = self.frozen().stability()
+        norm, index = self.model.dynamics.norm(), self.model.dynamics.passivity_index()
+        text = f"greatest norm of a vertex {norm:.9g}, port index {index:.2g} over all vertices"
+        if not report.verdict.endswith("every placement"):
+            return replace(report, reason=f"{report.reason}; {text}")
+        if norm > 1.0 + 1e-12:
+            return replace(
+                report,
+                verdict="not decided",
+                reason=f"a vertex of the schedule is not contractive: {text}",
+            )
+        return replace(report, reason=f"{report.reason}; {text}")
+
+    def simulate(
+        self,
+        t: np.ndarray,
+        integrator: Any = None,
+        *,
+        z0: np.ndarray | None = None,
+        p0: np.ndarray | None = None,
+        amplitude: np.ndarray | None = None,
+        heading: np.ndarray | None = None,
+        tolerance: float = 1e-5,
+    ) -> Trajectory:
+        """Run cells and field on the grid of the model's step.
+
+        Parameters
+        ----------
+        t : (T,)
+            s since contact, on the model's grid.
+        integrator : optional
+            Not used: the step is the model's, one implicit step of the field each.
+        z0 : (K, m), optional
+            Default the model's start at the positions.
+        p0 : (K, 3), optional
+            Polarities; default from the headings.
+        amplitude : (steps, K), optional
+            Lamellipodium amplitude; default 1.
+        heading : (steps, K), optional
+            Commanded headings, rad, instead of the controller; steps of the model's dt.
+        tolerance : float
+            Relative change of the loads at which the exchange in a step ends.
+
+        Returns
+        -------
+        Trajectory
+            States ``z`` (K, m), ``field.modes`` (order,) and ``p`` (K, 3).
+        """
+        times = check_times(t)
+        dt, K = self.model.dt, self.n_cells
+        count = (times - times[0]) / dt
+        if np.abs(count - np.round(count)).max() > 1e-6:
+            raise ParameterError(f"t must lie on the model's grid of {dt:g} s")
+        marks = np.round(count).astype(int)
+        steps = int(marks[-1])
+        amplitude = self._command(amplitude, "amplitude", steps, 1.0)
+        if heading is not None:
+            heading = self._command(heading, "heading", steps, 0.0)
+        law = self.controller if heading is None else None
+        theta = self.coupling.headings
+        if p0 is None:
+            p0 = np.column_stack([np.cos(theta), np.sin(theta), np.zeros(K)])
+        p = np.array(np.broadcast_to(np.asarray(p0, float), (K, 3)))
+        if not np.all(np.isfinite(p)) or np.any(np.hypot(p[:, 0], p[:, 1]) == 0):
+            raise ParameterError("p0 must be finite and have a heading for every cell")
+        loop = _Loop(law, self.normalise)
+        whole = CellsOnField(self.model, self.coupling.field, tolerance=tolerance)
+        state = whole.start(self.coupling.positions[:, :2], z0)
+        memory, rows, most = self.coupling.field.memory(), [], 0
+        began = clock.perf_counter()
+
+        def record() -> None:
+            z = self.model.dynamics.join(state.cells)
+            rows.append((z, state.q, p.copy(), self._sensed(z)))
+
+        record()
+        wanted = set(marks[1:].tolist())
+        for k in range(steps):
+            if law is not None:
+                p = turn(loop, p, self._sensed(self.model.dynamics.join(state.cells)), 0.5 * dt)
+            angle = np.arctan2(p[:, 1], p[:, 0]) if heading is None else heading[k]
+            state, used = whole.step(state, amplitude[k], angle, times[0] + k * dt, memory)
+            most = max(most, used)
+            if law is not None:
+                p = turn(loop, p, self._sensed(self.model.dynamics.join(state.cells)), 0.5 * dt)
+            elif heading is not None:
+                p = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(K)])
+            if k + 1 in wanted:
+                record()
+        z, q, p_all, d_all = (
+            None if rows[0][i] is None else np.array([r[i] for r in rows]) for i in range(4)
+        )
+        T = len(times)
+        blocks = [
+            Block("z", (K, self.order)),
+            Block("field.modes", (q.shape[1],), "um", "field"),
+            Block("p", (K, 3), "1", "controller", "internal"),
+        ]
+        return Trajectory(
+            times,
+            np.column_stack([z.reshape(T, -1), q, p_all.reshape(T, -1)]),
+            Layout(blocks),
+            p=p_all,
+            d=d_all,
+            statistics={"steps": steps, "exchanges": most,
+                        "wall_time": clock.perf_counter() - began},
+            label=f"{K} equivariant cells on one field",
+        )  # fmt: skip
+
+    def _command(self, value: Any, name: str, steps: int, default: float) -> np.ndarray:
+        value = default if value is None else value
+        array = np.asarray(value, dtype=float)
+        if array.shape not in ((), (self.n_cells,), (steps, self.n_cells)):
+            raise DimensionError(f"{name} must be ({steps}, {self.n_cells}), got {array.shape}")
+        if not np.all(np.isfinite(array)):
+            raise ParameterError(f"{name} holds NaN or inf")
+        return np.array(np.broadcast_to(array, (steps, self.n_cells)))
+
+    def _sensed(self, z: np.ndarray) -> np.ndarray | None:
+        if self.sensor is None:
+            return None
+        d = self.sensor.raw(z)
+        return self.sensor.direction(z) if self.normalise else d
+
+    def matrix_displacement(self, run: Trajectory) -> np.ndarray:
+        """Displacements (T, n, 3) um of the matrix in a run."""
+        return self.coupling.field.displacement(run.block("field.modes"))
+
+    def nodes(self, run: Trajectory) -> np.ndarray:
+        """Membrane node positions (T, K, n, 3) um in a run."""
+        return self.model.nodes(run.block("z"))
+
+    def __str__(self) -> str:
+        return (
+            f"{self.n_cells} equivariant cells on a field of order {self.coupling.field.order}, "
+            f"m = {self.order}\n  {self.frozen().certificate}"
+        )
+
+
+@dataclass(frozen=True)
+class _Loop:
+    controller: Any
+    normalise: bool
