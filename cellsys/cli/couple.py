@@ -48,6 +48,7 @@ def _couple(
 
     from cellsys import population
     from cellsys.errors import FileFormatError, ParameterError
+    from cellsys.store.archive import READ_ERRORS
 
     if form not in _FORMS:
         raise ParameterError(f"--form must be one of {', '.join(_FORMS)}, got {form!r}")
@@ -56,7 +57,9 @@ def _couple(
     if form == "mapped":
         try:
             P_map = np.load(map_file, allow_pickle=False)
-        except (ValueError, EOFError) as error:
+        except OSError:
+            raise
+        except READ_ERRORS as error:
             raise FileFormatError(f"{map_file!r} is no .npy array: {error}") from error
         coupling = population.MappedSuperposition(P_map=P_map, rank_tol=rank_tol)
     elif form == "feedback":

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from cellsys.errors import DataError, DimensionError, FileFormatError, ParameterError
 from cellsys.reduction.snapshots import RunData, Snapshots
-from cellsys.store.archive import READ_ERRORS
+from cellsys.store.archive import READ_ERRORS, check_growth
 from cellsys.system import Block, Layout
 
 _NPZ_KEYS = ("x", "eta", "u", "commands", "W_x", "W_eta", "dt", "t")
@@ -123,10 +123,13 @@ def _read_npz(path: Path) -> dict[str, np.ndarray]:
             archive = np.load(file, allow_pickle=False)
             if not hasattr(archive, "files"):
                 raise FileFormatError(f"{path.name} holds one bare array, not named ones")
+            check_growth(archive, path)
             with archive:
-                arrays = {
-                    k: np.asarray(archive[k], dtype=float) for k in archive.files if k in _NPZ_KEYS
-                }
+                read = {k: archive[k] for k in archive.files if k in _NPZ_KEYS}
+            for name, array in read.items():
+                if np.iscomplexobj(array):
+                    raise FileFormatError(f"{path.name}: array {name!r} is complex; give reals")
+            arrays = {k: np.asarray(v, dtype=float) for k, v in read.items()}
     except FileFormatError:
         raise
     except READ_ERRORS as error:

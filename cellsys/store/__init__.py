@@ -3,12 +3,13 @@
 from cellsys.store.archive import load_archive, save_archive
 from cellsys.store.atomic import atomic_path, write_json, write_text
 from cellsys.store.hashing import fingerprint
-from cellsys.store.runs import RunReader, RunWriter, read_rows, release
+from cellsys.store.runs import RunReader, RunWriter, discard_partial, read_rows, release
 
 __all__ = [
     "RunReader",
     "RunWriter",
     "atomic_path",
+    "discard_partial",
     "fingerprint",
     "load_archive",
     "read_rows",

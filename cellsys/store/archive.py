@@ -26,11 +26,15 @@ READ_ERRORS = (
     SyntaxError,
     MemoryError,
     NotImplementedError,
+    RecursionError,
     tokenize.TokenError,
     struct.error,
     zipfile.BadZipFile,
     zlib.error,
 )
+# Deflate packs zeros a thousandfold: a small file must not ask for all of memory. Arrays of
+# measured numbers shrink less than tenfold.
+_MOST_GROWTH, _SMALL = 50, 1e8
 
 
 def save_archive(
@@ -65,6 +69,21 @@ def save_archive(
     return target
 
 
+def check_growth(archive: np.lib.npyio.NpzFile, source: Path) -> None:
+    """Refuse an archive that unpacks to far more than its file holds, before it is unpacked.
+
+    Raises
+    ------
+    FileFormatError
+    """
+    size, packed = sum(i.file_size for i in archive.zip.infolist()), source.stat().st_size
+    if size > max(_SMALL, _MOST_GROWTH * packed):
+        raise FileFormatError(
+            f"{source.name!r} has {packed / 1e6:.3g} MB and says it unpacks to {size / 1e6:.3g} "
+            f"MB, more than {_MOST_GROWTH} times as much; save its arrays again with numpy.savez"
+        )
+
+
 def load_archive(
     path: str | Path, kind: str, version: int
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -88,6 +107,7 @@ def load_archive(
                 raise FileFormatError(
                     f"{source.name!r} was not written by cellsys: it has no {_HEADER!r} header"
                 )
+            check_growth(archive, source)
             with archive:
                 header = json.loads(str(archive[_HEADER]))
                 arrays = {name: archive[name] for name in archive.files if name != _HEADER}
@@ -97,6 +117,8 @@ def load_archive(
         raise FileFormatError(f"{source.name!r} is truncated or not a cellsys file: {error}") from (
             error
         )
+    if isinstance(header, dict) and not isinstance(header.get("metadata"), dict):
+        raise FileFormatError(f"{source.name!r} is damaged: its header has no table of metadata")
     if not isinstance(header, dict) or header.get("kind") != kind:
         found = header.get("kind") if isinstance(header, dict) else header
         raise FileFormatError(f"{source.name!r} holds a {found!r}, expected a {kind!r}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shutil
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -29,7 +28,7 @@ from cellsys.reduction.assessment import encode_start
 from cellsys.reduction.basis import check_order
 from cellsys.response import Margins, margins, stability
 from cellsys.scene import ChainScene, Scene, build, load_scene, run_ensemble, training_scenes
-from cellsys.store import write_json
+from cellsys.store import discard_partial, write_json
 from cellsys.study.coordinates import learn_coordinates
 from cellsys.study.measure import OrderSweep, sweep_orders
 from cellsys.trajectory import Trajectory
@@ -146,7 +145,7 @@ def study(
     cache = folder / "runs"
     if not resume and cache.exists():
         for partial in cache.glob("*.partial"):
-            shutil.rmtree(partial)
+            discard_partial(partial)
     say = progress or (lambda stage, share: None)
 
     train, held = training_scenes(scene)
