@@ -8,7 +8,6 @@ from typing import ClassVar
 import numpy as np
 
 from cellsys.mechanics.compiled import compiled
-from cellsys.mechanics.effects.membrane import diagonal
 from cellsys.mechanics.effects.protocol import (
     CellBody,
     Configuration,
@@ -19,6 +18,7 @@ from cellsys.mechanics.effects.protocol import (
     Stiffness,
     parameter,
 )
+from cellsys.mechanics.tangent import diagonal
 
 _MARGIN = 0.3  # um: nodes this much farther apart may touch before the next look at the tangent
 

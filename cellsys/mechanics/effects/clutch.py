@@ -6,7 +6,6 @@ import numpy as np
 
 from cellsys.mechanics import clutch_kernels as kernels
 from cellsys.mechanics.effects.matrix import MATRIX
-from cellsys.mechanics.effects.membrane import diagonal
 from cellsys.mechanics.effects.protocol import (
     CellBody,
     Configuration,
@@ -16,6 +15,7 @@ from cellsys.mechanics.effects.protocol import (
     Stiffness,
 )
 from cellsys.mechanics.geometry.disc import Disc
+from cellsys.mechanics.tangent import diagonal
 from cellsys.system import Block
 
 

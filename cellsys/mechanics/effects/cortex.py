@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from cellsys.mechanics.effects.membrane import area_bound, area_forces, diagonal, laplacian
+from cellsys.mechanics.effects.membrane import area_bound, area_forces
 from cellsys.mechanics.effects.protocol import (
     CellBody,
     Configuration,
@@ -20,6 +20,7 @@ from cellsys.mechanics.effects.protocol import (
     Stiffness,
     parameter,
 )
+from cellsys.mechanics.tangent import diagonal, laplacian
 from cellsys.system import Block
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from cellsys.mechanics.compiled import compiled
 from cellsys.mechanics.effects.matrix import MATRIX
-from cellsys.mechanics.effects.membrane import laplacian
 from cellsys.mechanics.effects.protocol import (
     Configuration,
     Effect,
@@ -20,6 +19,7 @@ from cellsys.mechanics.effects.protocol import (
     parameter,
 )
 from cellsys.mechanics.geometry.disc import Disc
+from cellsys.mechanics.tangent import laplacian
 
 _SOFT = 1e-6  # of |t1 x t2|^2: the angle of two fibres in line has a gradient
 

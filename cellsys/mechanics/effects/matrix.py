@@ -10,7 +10,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.laws.fibre import NEVER, FibreLaw, axial_energy
-from cellsys.mechanics.effects.membrane import diagonal
 from cellsys.mechanics.effects.protocol import (
     Configuration,
     Effect,
@@ -22,6 +21,7 @@ from cellsys.mechanics.effects.protocol import (
 )
 from cellsys.mechanics.fibre_kernels import fibre_forces, fibre_slopes
 from cellsys.mechanics.geometry.disc import Disc, StiffnessAssembly
+from cellsys.mechanics.tangent import diagonal
 
 MATRIX = "matrix"
 _SOFTER = 0.6  # the bound is renewed when the network has become this much softer

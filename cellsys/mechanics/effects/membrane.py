@@ -20,6 +20,7 @@ from cellsys.mechanics.effects.protocol import (
     parameter,
 )
 from cellsys.mechanics.geometry.membrane import volume_gradient
+from cellsys.mechanics.tangent import diagonal, laplacian
 
 _SOFT = 1e-6  # um^2 (um^4 for squared areas): keeps lengths and normals away from 0/0
 
@@ -109,18 +110,6 @@ def area_bound(
         pairs.append(triangles[:, [k, m]])
         weights.append(bound)
     return np.concatenate(pairs), np.concatenate(weights)
-
-
-def laplacian(n: int, edges: np.ndarray, weight: np.ndarray) -> sp.csc_array:
-    """Graph Laplacian (n, n) with one weight per edge."""
-    i, j = edges.T
-    rows, cols = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
-    return sp.csc_array((np.concatenate([weight, weight, -weight, -weight]), (rows, cols)), (n, n))
-
-
-def diagonal(values: np.ndarray) -> sp.csc_array:
-    """Diagonal matrix in compressed columns."""
-    return sp.csc_array(sp.diags_array(np.asarray(values, float)))
 
 
 def _edge_lengths(x: np.ndarray, edges: np.ndarray) -> np.ndarray:

@@ -13,8 +13,6 @@ from cellsys.errors import SceneError
 from cellsys.mechanics.effects.membrane import (
     area_bound,
     area_forces,
-    diagonal,
-    laplacian,
     line_forces,
 )
 from cellsys.mechanics.effects.protocol import (
@@ -29,6 +27,7 @@ from cellsys.mechanics.effects.protocol import (
     parameter,
 )
 from cellsys.mechanics.geometry.membrane import Membrane, sphere, volume_gradient
+from cellsys.mechanics.tangent import diagonal, laplacian
 from cellsys.system import Block
 
 _NODES = 60  # mechanics.md 1.1

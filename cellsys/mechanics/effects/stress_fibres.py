@@ -7,7 +7,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from cellsys.mechanics.effects.membrane import diagonal
 from cellsys.mechanics.effects.protocol import (
     CellBody,
     Configuration,
@@ -18,6 +17,7 @@ from cellsys.mechanics.effects.protocol import (
     Stiffness,
     parameter,
 )
+from cellsys.mechanics.tangent import diagonal
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from cellsys.laws.bell import (
 )
 from cellsys.mechanics.compiled import compiled
 from cellsys.mechanics.effects.matrix import MATRIX
-from cellsys.mechanics.effects.membrane import diagonal
 from cellsys.mechanics.effects.protocol import (
     CellBody,
     Configuration,
@@ -22,6 +21,7 @@ from cellsys.mechanics.effects.protocol import (
     Stiffness,
 )
 from cellsys.mechanics.geometry.disc import Disc
+from cellsys.mechanics.tangent import diagonal
 from cellsys.system import Block, Event
 
 FREE = -1.0  # partner of a membrane node without a cluster
