@@ -9,6 +9,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
     __name__,
     submod_attrs={
         "bondgraph": ["bond_graph"],
+        "comparison": ["comparison", "learning_curve", "selection"],
         "crawler": [
             "chain_displacement",
             "crawler_predictions",

@@ -6,6 +6,7 @@ from cellsys.reduction.assessment import assess
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.card import Card
 from cellsys.reduction.certainty import PoleCertainty, pole_certainty
+from cellsys.reduction.comparison import ComparedModel, Comparison, compare_reductors
 from cellsys.reduction.contraction import Contraction, contraction
 from cellsys.reduction.contractive import Contractive
 from cellsys.reduction.equivariant.forecast import ErrorBands, Forecast, ValidityMonitor
@@ -41,6 +42,8 @@ __all__ = [
     "Card",
     "CellsOnField",
     "Clock",
+    "ComparedModel",
+    "Comparison",
     "Contraction",
     "Contractive",
     "Equivariant",
@@ -61,6 +64,7 @@ __all__ = [
     "StiffnessSensor",
     "ValidityMonitor",
     "assess",
+    "compare_reductors",
     "contraction",
     "fit_basis",
     "fit_sensor",

@@ -141,7 +141,8 @@ def fit_basis(
         )
     mean, variance = moments(data)
     if not center:
-        mean = np.zeros_like(mean)
+        # About zero a constant column varies too: left out, it would come back as 0.
+        mean, variance = np.zeros_like(mean), variance + mean**2
     scale = scale_factors(data, mean, variance)
     inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -37,7 +38,9 @@ class PCR:
         How eta' is taken inside a run. Backward [eq. 19] turns the sign of the damping of every
         fast component that switching or noise keeps alive; it is here to be compared.
     literal : bool
-        Everything as printed: no centring, no intercept, backward difference.
+        Equation 24 exactly as printed: snapshots as they come (S = I, no mean subtracted, eq. 8),
+        eta' by backward differences (eq. 19), no intercept. It always learns in its own basis,
+        whatever basis or `scale` the data come with. Kept to be compared, not to be used.
     svd : ExactSVD or RandomisedSVD, optional
         See `fit_basis`.
     rank_tolerance : float
@@ -56,6 +59,11 @@ class PCR:
                 f"PCR.difference must be 'forward' or 'backward', got {self.difference!r}"
             )
 
+    @property
+    def own_basis(self) -> bool:
+        """Whether it learns in a basis of its own: the literal form does."""
+        return self.literal
+
     def fit(
         self,
         data: Snapshots,
@@ -67,9 +75,11 @@ class PCR:
 
         `basis` (of at least that order) and `parts` (latent samples in it) are reused if given.
         """
-        basis = truncated(basis, order) or fit_basis(
-            data, order, center=not self.literal, method=self.svd
-        )
+        if self.literal:
+            # Another basis, or samples in it, would not be the printed one.
+            data, parts = dataclasses.replace(data, scale="none"), None
+            basis = fit_basis(data, order, center=False, method=self.svd)
+        basis = truncated(basis, order) or fit_basis(data, order, method=self.svd)
         parts = LatentParts.of(data, basis) if parts is None else parts
         A, b, rank = self.generator(data, basis, parts)
         n = data.states.size

@@ -5,7 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cellsys.errors import DataError, DimensionError, ParameterError, RankError
+from cellsys.errors import (
+    DataError,
+    DimensionError,
+    IntegrationError,
+    ParameterError,
+    RankError,
+)
 from cellsys.integrate import CVODES, simulate
 from cellsys.reduction import (
     PCR,
@@ -83,12 +89,55 @@ def test_backward_differences_turn_the_sign_of_damping():
     assert abs(naive.backward_slope(eta, dt) - fast) < near
 
 
-def test_literal_form_is_backward_uncentred_without_intercept():
-    data = one_step_data(seed=2)
-    model = PCR(literal=True).fit(data, 4)
+@pytest.mark.parametrize("scale", ["none", "block"])
+def test_literal_form_is_equation_24_written_out(scale):
+    """Stacked samples, SVD about zero, backward differences inside runs, normal algebra."""
+    data, order = one_step_data(seed=2, scale=scale), 4
+    n, samples, now, rate = data.states.size, [], [], []
+    for run in data.runs:
+        both = np.hstack([run.x[:-1], run.eta])[:-1]
+        samples.append(both)
+        now.append(both[1:])
+        rate.append((both[1:, n:] - both[:-1, n:]) / data.dt)
+    V = np.linalg.svd(np.concatenate(samples))[2][:order].T
+    K = np.linalg.lstsq(np.concatenate(now) @ V, np.concatenate(rate), rcond=None)[0].T
+    W_x, W_eta = data.W_x.toarray(), data.W_eta.toarray()
+    A = V[:n].T @ (W_x @ V[:n] + W_eta @ V[n:]) + V[n:].T @ K
+    centred = fit_basis(data, order)
+    model = PCR(literal=True).fit(data, order, centred)  # a basis that it must not take
+    # singular vectors have signs: compare what does not depend on them
+    signs = np.sign(np.sum(V * model.V, axis=0))
+    assert np.abs(signs[:, None] * A * signs - model.A).max() < 1e-9 * np.abs(A).max()
     assert np.all(model.mean == 0.0)
     assert np.all(model.offset == 0.0)
-    assert np.abs(model.A - PCR().fit(data, 4).A).max() > 1e-3
+    assert np.all(model.scale == 1.0)
+    assert (
+        np.abs(np.sort(model.poles().real) - np.sort(PCR().fit(data, 4).poles().real)).max() > 0.1
+    )
+
+
+def test_literal_form_turns_damping_into_growth():
+    """AR(1) rate: printed, a growing mode of rate log(1 + dt (1 - rho)/dt)/dt; forward, none."""
+    rho, dt = 0.5, 0.1
+    data = ar1_data(rho, dt=dt)
+    literal, forward = PCR(literal=True).fit(data, 2), PCR().fit(data, 2)
+    # five standard errors of rho from 40 000 samples, over dt, as above
+    assert abs(literal.growth() - np.log(2.0 - rho) / dt) < 0.22
+    assert forward.growth() < 0.22
+    t = dt * np.arange(20_001)
+    with pytest.raises(IntegrationError, match="diverges"):
+        literal.predict(np.ones(2), None, t)
+    assert np.all(np.isfinite(forward.predict(np.ones(2), None, t[:2001])))
+
+
+def test_a_constant_column_survives_where_nothing_is_centred():
+    rng = np.random.default_rng(0)
+    runs = [np.column_stack([np.full(30, 7.0), rng.standard_normal((30, 2))]) for _ in range(2)]
+    data = snapshots(runs, dt=1.0, scale="none")
+    basis = fit_basis(data, 3, center=False)
+    back = (runs[0] @ basis.V) @ basis.V.T
+    assert np.abs(back - runs[0]).max() < 1e-12
+    assert fit_basis(data, 2).dropped == 1  # centred, it is the mean
 
 
 def test_no_difference_across_runs_or_events():
