@@ -19,6 +19,16 @@ from cellsys.scene.registry import source_of
 from cellsys.store.hashing import fingerprint
 
 _MOST_SAMPLES = 1e7  # their times alone are 80 MB, their states of any scene beyond every memory
+_MOST_STEPS = 1e9  # at 1 ms each, which only the smallest scenes need, twelve days
+# From a speck to a metre, from a liquid to diamond: beyond, arrays of bins and stiffnesses
+# overflow.
+_MATRIX = {
+    "diameter": (0.01, 1e6, "um"),
+    "thickness": (1e-3, 1e4, "um"),
+    "modulus": (1e-9, 1e12, "pN/um^2"),
+}
+_RADIUS = (0.01, 1e3)
+_SPARSEST = 100.0  # um between neighbouring nodes: far apart, no cell touches any
 
 
 @dataclass(frozen=True)
@@ -152,9 +162,24 @@ class Scene:
                 f"duration / sample = {self.duration / self.sample:.3g} samples, more than "
                 f"{_MOST_SAMPLES:.0e}; sample less often or shorten the run"
             )
+        plan = self.training
+        runs = float(min(plan.runs + plan.held_out, 10**15))  # no float holds every integer
+        samples = runs * plan.duration / plan.sample
+        if samples > _MOST_SAMPLES:
+            raise SceneError(
+                f"training asks for {runs:.3g} runs and {samples:.3g} "
+                f"samples, more than {_MOST_SAMPLES:.0e}; lower training.runs, shorten training "
+                "or sample less often"
+            )
         if isinstance(self.matrix, ChainScene):
             check_chain(self.matrix, self.cells, self.effects, self.commands)
             return
+        for name, span in (("duration", self.duration), ("training.duration", plan.duration)):
+            if span / self.step > _MOST_STEPS:
+                raise SceneError(
+                    f"{name} / step = {span / self.step:.3g} steps, more than {_MOST_STEPS:.0e}, "
+                    "which take months; shorten the run or lengthen the step"
+                )
         if any(isinstance(cell, Crawler) for cell in self.cells):
             raise SceneError("a Crawler lives on a chain; its matrix must be a ChainScene")
         if not self.cells and self.matrix is None:
@@ -176,9 +201,27 @@ class Scene:
             )
 
     def _check_places(self) -> None:
+        for name, (least, most, unit) in _MATRIX.items() if self.matrix is not None else ():
+            if not least <= getattr(self.matrix, name) <= most:
+                raise SceneError(
+                    f"matrix.{name} must be > 0, in [{least:g}, {most:g}] {unit}, "
+                    f"got {getattr(self.matrix, name)!r}"
+                )
+        nodes = None if self.matrix is None else self.matrix.nodes
+        if nodes is not None and nodes > 0 and self.matrix.diameter**2 > nodes * _SPARSEST**2:
+            raise SceneError(
+                f"matrix.nodes = {nodes} leaves {self.matrix.diameter / np.sqrt(nodes):.3g} um "
+                f"between nodes, more than {_SPARSEST:g} um; ask for more or leave it out"
+            )
+        seed = None if self.matrix is None else self.matrix.seed
+        if seed is not None and seed < 0:
+            raise SceneError(f"matrix.seed must be >= 0, got {seed}")
         for i, a in enumerate(self.cells):
-            if not a.radius > 0:
-                raise SceneError(f"cells[{i}].radius must be > 0 um, got {a.radius!r}")
+            if not _RADIUS[0] <= a.radius <= _RADIUS[1]:
+                raise SceneError(
+                    f"cells[{i}].radius must be > 0 um, in [{_RADIUS[0]:g}, {_RADIUS[1]:g}] um, "
+                    f"got {a.radius!r}"
+                )
             if self.matrix is not None:
                 reach = float(np.hypot(*a.position)) + a.radius
                 if reach > 0.5 * self.matrix.diameter:
