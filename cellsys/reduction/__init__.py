@@ -21,6 +21,13 @@ from cellsys.reduction.model import LatentModel
 from cellsys.reduction.pcr import PCR
 from cellsys.reduction.reduce import reduce, reduce_orders
 from cellsys.reduction.ridge import Ridge
+from cellsys.reduction.selection import (
+    LearningCurve,
+    Selection,
+    grid,
+    learning_curve,
+    select_model,
+)
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import RunData, Snapshots, snapshots
 
@@ -54,12 +61,14 @@ __all__ = [
     "FullField",
     "GalerkinField",
     "LatentModel",
+    "LearningCurve",
     "LeastSquares",
     "PolarPort",
     "PoleCertainty",
     "RandomisedSVD",
     "Ridge",
     "RunData",
+    "Selection",
     "Snapshots",
     "StiffnessSensor",
     "ValidityMonitor",
@@ -69,9 +78,12 @@ __all__ = [
     "fit_basis",
     "fit_sensor",
     "full_field",
+    "grid",
+    "learning_curve",
     "pole_certainty",
     "realisation_floor",
     "reduce",
     "reduce_orders",
+    "select_model",
     "snapshots",
 ]

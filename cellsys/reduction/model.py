@@ -19,7 +19,7 @@ from cellsys.errors import (
     RepresentationError,
 )
 from cellsys.reduction.card import Card
-from cellsys.reduction.model_file import ARRAYS, load_model, save_model
+from cellsys.reduction.model_file import ARRAYS, is_equivariant, load_model, save_model
 from cellsys.reduction.sensor import StiffnessSensor
 from cellsys.reduction.steps import check_roll_out, hold, roll, to_continuous
 from cellsys.system import Layout
@@ -331,7 +331,11 @@ class LatentModel(Drawable):
 
     @classmethod
     def load(cls, path: str | Path) -> LatentModel:
-        """Read back a saved model; FileFormatError for anything else."""
+        """Read back a saved model of any kind; FileFormatError for anything else."""
+        from cellsys.reduction.equivariant.model import EquivariantModel
+
+        if cls is LatentModel and is_equivariant(path):
+            return EquivariantModel.load(path)
         values, sensor = load_model(path)
         try:
             return cls(**values, sensor=None if sensor is None else StiffnessSensor(**sensor))

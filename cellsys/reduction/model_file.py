@@ -9,11 +9,17 @@ import numpy as np
 
 from cellsys.errors import FileFormatError
 from cellsys.reduction.card import Card
-from cellsys.store.archive import load_archive, save_archive
+from cellsys.store.archive import archive_kind, load_archive, save_archive
 from cellsys.system import Block, Layout
 
 ARRAYS = ("A", "B", "offset", "V", "mean", "scale", "singular_values", "z_start")
 _KIND, _VERSION = "latent model", 1
+EQUIVARIANT = "equivariant model"
+
+
+def is_equivariant(path: str | Path) -> bool:
+    """Whether a model file holds an equivariant model; errors as of `load_model`."""
+    return archive_kind(path) == EQUIVARIANT
 
 
 def save_model(model: Any, path: str | Path) -> Path:

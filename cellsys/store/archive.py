@@ -84,6 +84,11 @@ def check_growth(archive: np.lib.npyio.NpzFile, source: Path) -> None:
         )
 
 
+def archive_kind(path: str | Path) -> str:
+    """What a file written by `save_archive` holds; errors as of `load_archive`."""
+    return str(_read(Path(path), arrays=False)[1].get("kind"))
+
+
 def load_archive(
     path: str | Path, kind: str, version: int
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -97,8 +102,22 @@ def load_archive(
         When the file is truncated, not ours, of another kind or of a newer schema.
     """
     source = Path(path)
+    arrays, header = _read(source)
+    if header.get("kind") != kind:
+        raise FileFormatError(f"{source.name!r} holds a {header.get('kind')!r}, expected a {kind!r}")
+    if header.get("version") != version:
+        raise FileFormatError(
+            f"{source.name!r} has {kind} schema {header.get('version')!r}, this cellsys reads "
+            f"{version}; write it again with this version"
+        )
+    return arrays, header["metadata"]
+
+
+def _read(source: Path, arrays: bool = True) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays (none unless asked for) and header of a file."""
     if not source.exists():
         raise FileNotFoundError(f"no file {str(source)!r}")
+    names: dict[str, np.ndarray] = {}
     try:
         # Opened here: np.load leaves the file open when it is not a zip archive after all.
         with source.open("rb") as file:
@@ -110,7 +129,8 @@ def load_archive(
             check_growth(archive, source)
             with archive:
                 header = json.loads(str(archive[_HEADER]))
-                arrays = {name: archive[name] for name in archive.files if name != _HEADER}
+                if arrays:
+                    names = {name: archive[name] for name in archive.files if name != _HEADER}
     except FileFormatError:
         raise
     except READ_ERRORS as error:
@@ -119,12 +139,6 @@ def load_archive(
         )
     if isinstance(header, dict) and not isinstance(header.get("metadata"), dict):
         raise FileFormatError(f"{source.name!r} is damaged: its header has no table of metadata")
-    if not isinstance(header, dict) or header.get("kind") != kind:
-        found = header.get("kind") if isinstance(header, dict) else header
-        raise FileFormatError(f"{source.name!r} holds a {found!r}, expected a {kind!r}")
-    if header.get("version") != version:
-        raise FileFormatError(
-            f"{source.name!r} has {kind} schema {header.get('version')!r}, this cellsys reads "
-            f"{version}; write it again with this version"
-        )
-    return arrays, header["metadata"]
+    if not isinstance(header, dict):
+        raise FileFormatError(f"{source.name!r} has the header {header!r}, expected a mapping")
+    return names, header

@@ -15,11 +15,11 @@ from cellsys.reduction.equivariant.port import PolarPort, PortSites
 from cellsys.reduction.equivariant.representation import CHARGES, CellRepresentation, ChargeModes
 from cellsys.reduction.equivariant.schedule import Clock
 from cellsys.reduction.equivariant.shape import ShapeBasis
-from cellsys.reduction.model_file import card_from, layout_from, layout_table
+from cellsys.reduction.model_file import EQUIVARIANT, card_from, layout_from, layout_table
 from cellsys.reduction.sensor import StiffnessSensor
 from cellsys.store.archive import load_archive, save_archive
 
-KIND, VERSION = "equivariant model", 1
+VERSION = 1
 
 
 def write_parts(model: Any, path: str | Path) -> Path:
@@ -71,7 +71,7 @@ def write_parts(model: Any, path: str | Path) -> Path:
         else [list(model.bands.levels), model.bands.folds, model.bands.runs],
         "monitor": None if model.monitor is None else asdict(model.monitor),
     }
-    return save_archive(path, KIND, VERSION, arrays, metadata)
+    return save_archive(path, EQUIVARIANT, VERSION, arrays, metadata)
 
 
 def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
@@ -81,7 +81,7 @@ def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
     ------
     FileNotFoundError, FileFormatError
     """
-    arrays, meta = load_archive(path, KIND, VERSION)
+    arrays, meta = load_archive(path, EQUIVARIANT, VERSION)
     for name, value in arrays.items():
         if value.dtype.kind not in "fiu" or not np.all(np.isfinite(value)):
             raise FileFormatError(f"{Path(path).name!r} is damaged: {name!r} is not finite numbers")

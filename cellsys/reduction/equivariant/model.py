@@ -115,20 +115,33 @@ class EquivariantModel(LatentModel):
             notes={"method": "Equivariant", "horizon_s": float(horizon), **(notes or {})},
         )
 
-    def carrying(self, **changes: Any) -> EquivariantModel:
-        """The same model with another sensor, card, start, bands, monitor or notes."""
-        kept = {
-            "bands": self.bands,
-            "monitor": self.monitor,
-            "cell": self.cell,
-            "horizon": self.horizon,
-            "z_start": self.z_start,
-            "sensor": self.sensor,
-            "card": self.card,
-            "notes": self.notes,
-        }
-        parts = (self.dynamics, self.representation, self.modes, self.sites)
-        return EquivariantModel(*parts, self.states, self.auxiliaries, **(kept | changes))
+    def carrying(
+        self,
+        *,
+        z_start: np.ndarray | None = None,
+        sensor: StiffnessSensor | None = None,
+        card: Card | None = None,
+        notes: Mapping[str, Any] | None = None,
+        bands: ErrorBands | None = None,
+        monitor: ValidityMonitor | None = None,
+    ) -> EquivariantModel:
+        """The same model with what is given put in place of its own."""
+        return EquivariantModel(
+            self.dynamics,
+            self.representation,
+            self.modes,
+            self.sites,
+            self.states,
+            self.auxiliaries,
+            cell=self.cell,
+            horizon=self.horizon,
+            z_start=self.z_start if z_start is None else z_start,
+            sensor=self.sensor if sensor is None else sensor,
+            card=self.card if card is None else card,
+            notes=self.notes if notes is None else notes,
+            bands=self.bands if bands is None else bands,
+            monitor=self.monitor if monitor is None else monitor,
+        )
 
     # What a charge model does not have
 

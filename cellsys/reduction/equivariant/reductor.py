@@ -206,7 +206,8 @@ class Equivariant:
     ) -> tuple[CellRepresentation, list[tuple[np.ndarray, dict[int, np.ndarray]]]]:
         """Coordinates whose load part has `load_share` of the shape's rms, and all features."""
         first = records[0].nodes[0]
-        shape, height = ShapeBasis.of(first, self.degree), float(first[:, 2].mean())
+        shape = ShapeBasis.of(first, self.degree)
+        height = float(shape.coefficients(first)[0][2])
         plain = CellRepresentation(shape, self.port, height, 1.0)
         features = [plain.features(r.nodes, r.loads) for r in records]
         power = np.zeros(2)

@@ -66,10 +66,18 @@ class ShapeBasis:
     @classmethod
     def of(cls, nodes: np.ndarray, degree: int = 10) -> ShapeBasis:
         """From the nodes (n, 3) of the cell at its start."""
-        out = nodes - nodes.mean(axis=0)
+        nodes = np.asarray(nodes, dtype=float)
+        # |x|^2 = 2 c.x + (R^2 - |c|^2): the centre of the sphere, not the mean of its nodes
+        about = nodes - nodes.mean(axis=0)
+        rows = np.column_stack([2.0 * about, np.ones(len(about))])
+        centre = sla.lstsq(rows, np.sum(about**2, axis=1))[0][:3]
+        out = about - centre
         length = np.linalg.norm(out, axis=1)
-        if not length.min() > 0:
-            raise DataError("a node lies at the centre of the cell; the start is no sphere")
+        if not length.min() > 0 or np.ptp(length) > 0.05 * length.mean():
+            raise DataError(
+                "the cell does not start as a sphere: its nodes are "
+                f"{length.min():.3g} to {length.max():.3g} um from its centre"
+            )
         return cls(out / length[:, None], float(length.mean()), degree)
 
     @property
@@ -105,11 +113,17 @@ class ShapeBasis:
         nodes = np.asarray(nodes, dtype=float)
         if nodes.shape[-2:] != self.material.shape:
             raise DimensionError(f"nodes must be (..., {len(self.material)}, 3), got {nodes.shape}")
-        centre = nodes.mean(axis=-2)
-        change = nodes - centre[..., None, :] - self.sphere
+        mean = nodes.mean(axis=-2)
+        change = nodes - mean[..., None, :] - self.sphere
         W_all = (change[..., 0] + 1j * change[..., 1]) @ self._fit.T
         Z_all = change[..., 2] @ self._fit.T
         where = self._table[1]
+        # The centroid is the coefficient l = 0: unlike the mean of the nodes it turns exactly.
+        first, unit = where[0].start, np.sqrt(4.0 * np.pi)
+        shift = [W_all[..., first].real, W_all[..., first].imag, Z_all[..., first].real]
+        centre = mean + np.stack(shift, axis=-1) / unit
+        W_all[..., first] = 0.0
+        Z_all[..., first] = 0.0
         W = {m: W_all[..., where[m]] for m in self.orders if 1 - TOP <= m <= 1 + TOP}
         Z = {m: Z_all[..., where[m]] for m in self.orders if abs(m) <= TOP}
         return centre, W, Z
@@ -136,6 +150,4 @@ class ShapeBasis:
                 weight = 1.0 if m == 0 else 2.0
                 up = up + weight * (Z[m] @ table[:, where[m]].T).real
         change = np.stack([flat.real, flat.imag, up], axis=-1)
-        # Without its mean: the centroid is carried by itself.
-        change = change - change.mean(axis=-2, keepdims=True)
         return np.asarray(centre)[..., None, :] + self.sphere + change

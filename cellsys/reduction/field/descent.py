@@ -209,7 +209,8 @@ def implicit_step(
         while left > goal and state.evaluations < cap:
             memory.pairs.clear()
             state.fresh += 1
-            q, F, left = state.search(q, F, goal, _ROUND, p.fresh(q), monotone)
+            tries = min(_ROUND, cap - state.evaluations)
+            q, F, left = state.search(q, F, goal, tries, p.fresh(q), monotone)
             if not np.isfinite(left):
                 q, F = q0, state.F0
         return q, F, left

@@ -3,8 +3,7 @@
 Loads are smooth patches as a cell exerts them: radial hats times azimuthal orders around a place,
 each with a radial, a tangential and a vertical part, random coefficients. Responses are those of
 the *nonlinear* matrix: modes of the linear one cannot follow the way load paths move when fibres
-buckle (measured at q = 400 on the shipped scene: field error 0.08 from linear responses, 0.04
-from nonlinear ones, with nearly the same projection floor).
+buckle (`analysis/field_truth.py` prints both; the projection floors are nearly the same).
 """
 
 from __future__ import annotations
