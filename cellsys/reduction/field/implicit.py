@@ -40,12 +40,14 @@ class FullField(MatrixField):
             object.__setattr__(self, name, value)
 
     def project(self, f: np.ndarray) -> np.ndarray:
+        """U^T f (..., order), pN, of nodal loads f (..., n, 3)."""
         f = np.asarray(f, dtype=float)
         if f.shape[-2:] != self.nodes.shape:
             raise DimensionError(f"f must be (..., {len(self.nodes)}, 3), got {f.shape}")
         return f.reshape(*f.shape[:-2], -1)[..., self.matrix.free]
 
     def displacement(self, q: np.ndarray) -> np.ndarray:
+        """u = U q (..., n, 3), um, of coordinates q (..., order); velocities alike."""
         q = np.asarray(q, dtype=float)
         if q.shape[-1:] != (self.order,):
             raise DimensionError(f"q must be (..., {self.order}), got {q.shape}")
