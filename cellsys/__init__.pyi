@@ -78,6 +78,7 @@ from .population import (
 )
 from .reduction import (
     PCR,
+    TPWL,
     Basis,
     Card,
     CellsOnField,
@@ -93,10 +94,12 @@ from .reduction import (
     Forecast,
     FullField,
     GalerkinField,
+    Jacobian,
     LatentModel,
     LearningCurve,
     LeastSquares,
     PolarPort,
+    PiecewiseModel,
     PoleCertainty,
     RandomisedSVD,
     Ridge,

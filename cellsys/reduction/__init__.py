@@ -16,9 +16,11 @@ from cellsys.reduction.equivariant.port import PolarPort
 from cellsys.reduction.equivariant.reductor import Equivariant
 from cellsys.reduction.equivariant.schedule import Clock
 from cellsys.reduction.equivariant.worth import realisation_floor
+from cellsys.reduction.jacobian import Jacobian
 from cellsys.reduction.least_squares import LeastSquares
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.pcr import PCR
+from cellsys.reduction.piecewise import TPWL, PiecewiseModel
 from cellsys.reduction.reduce import reduce, reduce_orders
 from cellsys.reduction.ridge import Ridge
 from cellsys.reduction.selection import (
@@ -45,6 +47,7 @@ def __getattr__(name: str) -> Any:
 
 __all__ = [
     "PCR",
+    "TPWL",
     "Basis",
     "Card",
     "CellsOnField",
@@ -60,9 +63,11 @@ __all__ = [
     "Forecast",
     "FullField",
     "GalerkinField",
+    "Jacobian",
     "LatentModel",
     "LearningCurve",
     "LeastSquares",
+    "PiecewiseModel",
     "PolarPort",
     "PoleCertainty",
     "RandomisedSVD",
