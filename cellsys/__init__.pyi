@@ -51,6 +51,7 @@ from .observe import (
     edge_gap,
     node_speed,
     observe_pair,
+    pair_regions,
     speed_against_spacing,
     summary_of_run,
     until_contact,

@@ -7,6 +7,7 @@ from cellsys.observe.pairs import (
     attenuation_length,
     edge_gap,
     observe_pair,
+    pair_regions,
     speed_against_spacing,
     until_contact,
 )
@@ -22,6 +23,7 @@ __all__ = [
     "edge_gap",
     "node_speed",
     "observe_pair",
+    "pair_regions",
     "read_outs",
     "speed_against_spacing",
     "summary_of_run",

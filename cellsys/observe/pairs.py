@@ -129,7 +129,7 @@ class PairReadout:
         )
 
 
-def regions(
+def pair_regions(
     run: Trajectory, rest: np.ndarray, first: str = "cell1", second: str = "cell2"
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which matrix nodes lie between two cells, and which away from both, at each sample.
@@ -195,7 +195,7 @@ def observe_pair(
         speeds.append(1e3 * node_speed(single, "matrix.displacement")[: T - 1])
         if speeds[-1].shape != speeds[0].shape or len(rest) != speeds[0].shape[1]:
             raise DimensionError("pair, controls and rest positions must be of one matrix")
-    gap, periphery = regions(run, rest)
+    gap, periphery = pair_regions(run, rest)
 
     def mean(speed: np.ndarray, mask: np.ndarray) -> np.ndarray:
         count = mask[:-1].sum(axis=1)
