@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cellsys.errors import FileFormatError
+from cellsys.errors import FileFormatError, ParameterError
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.simulate import record_shapes, simulate, trajectory_of
 from cellsys.scene.build import build
@@ -139,32 +139,50 @@ def run_ensemble(
     folder: str | Path,
     *,
     workers: int = 2,
+    executor: Any = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Trajectory]:
-    """Run many scenes in `workers` processes; the same numbers whatever their number.
+    """Run many scenes in several processes; the same numbers whatever their number.
 
     Parameters
     ----------
     scenes : sequence of Scene
         Each is run once, even when it is listed twice.
     folder : path
-        Run cache; trajectories come back memory-mapped from it.
+        Run cache; trajectories come back memory-mapped from it. On a cluster every worker must
+        see it under this name.
+    workers : int
+        Processes on this machine; not used with an `executor`.
+    executor : concurrent.futures.Executor or dask.distributed.Client, optional
+        Where to run instead. It stays open.
     progress : callable, optional
         Called with (runs done, runs in all).
+
+    Raises
+    ------
+    ParameterError
+        Something that takes no work was given as executor.
     """
+    submit = None if executor is None else _submit_of(executor)
     pending = {s.fingerprint(): s for s in scenes}
     missing = [
         s for key, s in pending.items() if not (Path(folder) / key[:20] / "run.json").exists()
     ]
     done = len(pending) - len(missing)
-    if progress is not None:
-        progress(done, len(pending))
-    if workers <= 1 or len(missing) <= 1:
+
+    def told(more: int) -> None:
+        nonlocal done
+        done += more
+        if progress is not None:
+            progress(done, len(pending))
+
+    told(0)
+    if submit is not None:
+        _gather({submit(_run_into, s, str(folder)) for s in missing}, told)
+    elif workers <= 1 or len(missing) <= 1:
         for scene in missing:
             run_scene(scene, folder)
-            done += 1
-            if progress is not None:
-                progress(done, len(pending))
+            told(1)
     else:
         pool = ProcessPoolExecutor(
             min(workers, len(missing)), get_context("spawn"), initializer=_die_on_interrupt
@@ -172,14 +190,33 @@ def run_ensemble(
         try:
             with one_thread_each():  # a process starts when work is submitted
                 waiting = {pool.submit(_run_into, s, str(folder)) for s in missing}
-            while waiting:
-                finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    future.result()
-                    done += 1
-                if progress is not None:
-                    progress(done, len(pending))
+            _gather(waiting, told)
         finally:
             # After a failure or an interrupt the runs not yet begun are not begun.
             pool.shutdown(cancel_futures=True)
     return [run_scene(s, folder) for s in scenes]
+
+
+def _submit_of(executor: Any) -> Callable[..., Future]:
+    """`submit` of an executor; a dask client brings one that gives ordinary futures."""
+    if hasattr(executor, "get_executor"):
+        executor = executor.get_executor()
+    if not isinstance(executor, Executor):
+        raise ParameterError(
+            "executor must be a concurrent.futures.Executor or a dask.distributed.Client, got "
+            f"{type(executor).__name__}"
+        )
+    return executor.submit
+
+
+def _gather(waiting: set[Future], told: Callable[[int], None]) -> None:
+    """Wait for all; the first failure is raised and what has not begun is cancelled."""
+    try:
+        while waiting:
+            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in finished:
+                future.result()
+            told(len(finished))
+    finally:
+        for future in waiting:
+            future.cancel()
