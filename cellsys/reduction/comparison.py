@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -156,6 +157,17 @@ def compare_reductors(
     return Comparison(tuple(rows), seen, block, (len(train.runs), len(test.runs)), basis_s)
 
 
+def described(method: Any) -> str:
+    """A reductor in words: its name and the settings that are not the default ones."""
+    if not dataclasses.is_dataclass(method):
+        return method.name
+    fields = dataclasses.fields(method)
+    if any(f.default is f.default_factory is dataclasses.MISSING for f in fields):
+        return repr(method)
+    own = [f.name for f in fields if getattr(method, f.name) != f.default]
+    return f"{method.name}({', '.join(f'{n}={getattr(method, n)!r}' for n in own)})"
+
+
 def refuse_shared_runs(train: Snapshots, test: Snapshots) -> None:
     """ParameterError where a run (by label) is in both sets."""
     both = {r.label for r in train.runs if r.label} & {r.label for r in test.runs}
@@ -224,7 +236,7 @@ def _row(
     return ComparedModel(
         method.name,
         model.order,
-        repr(method),
+        described(method),
         error if fine else float("inf"),
         float(held.get("floor", float("nan"))),
         abscissa,

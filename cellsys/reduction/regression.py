@@ -126,6 +126,7 @@ def truncated(basis: Basis | None, order: int) -> Basis | None:
         basis.scale,
         basis.total,
         basis.dropped,
+        None if basis.residuals is None else basis.residuals[:order],
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, ParameterError
 from cellsys.reduction.basis import check_order
-from cellsys.reduction.comparison import measured, refuse_shared_runs
+from cellsys.reduction.comparison import described, measured, refuse_shared_runs
 from cellsys.reduction.reduce import reduce
 from cellsys.reduction.snapshots import Snapshots
 
@@ -74,7 +74,7 @@ class Selection(Drawable):
     model : LatentModel
         The chosen method and order, learned from all runs.
     method, settings, order
-        The choice: reductor, its printed form, order.
+        The choice: reductor, the same in words, order.
     error : float
         Nested: root mean square over outer folds of the error of what the *inner* folds chose.
     validation_error : float
@@ -177,7 +177,9 @@ def select_model(
         kept, tested = _of(data, rest), _of(data, held)
         error = _errors(kept, tested, [method], [order])[0]
         labels = tuple(data.runs[i].label for i in held)
-        reported.append(OuterFold(labels, repr(method), order, error, float(table[:, best].mean())))
+        reported.append(
+            OuterFold(labels, described(method), order, error, float(table[:, best].mean()))
+        )
     table = _validation(data, dealt, methods, orders, inner, told)
     pairs = _pairs(methods, orders)
     ranked = sorted(range(len(pairs)), key=lambda k: _mean(table[:, k]))
@@ -185,7 +187,7 @@ def select_model(
         Candidate(
             pairs[k][0].name,
             pairs[k][1],
-            repr(pairs[k][0]),
+            described(pairs[k][0]),
             _mean(table[:, k]),
             float(np.std(table[:, k])) if np.all(np.isfinite(table[:, k])) else float("inf"),
         )
@@ -196,7 +198,7 @@ def select_model(
     return Selection(
         reduce(data, order=order, method=method),
         method,
-        repr(method),
+        described(method),
         order,
         nested,
         rows[0].error,
@@ -229,8 +231,8 @@ def _errors(
         if not held:
             raise ParameterError("there are no positions in these data to measure errors on")
         error = float(next(iter(held.values()))["model"])
-        found.setdefault(repr(method), []).append(error if error < 1e6 else float("inf"))
-    return [found[repr(m)][k] for m in methods for k in range(len(orders))]
+        found.setdefault(id(method), []).append(error if error < 1e6 else float("inf"))
+    return [found[id(m)][k] for m in methods for k in range(len(orders))]
 
 
 def _validation(
@@ -331,5 +333,11 @@ def learning_curve(
     with np.errstate(invalid="ignore"):
         mean, spread = np.nanmean(errors, axis=2), np.nanstd(errors, axis=2)
     return LearningCurve(
-        tuple(int(c) for c in counts), mean[0], spread[0], mean[1], spread[1], repr(method), order
+        tuple(int(c) for c in counts),
+        mean[0],
+        spread[0],
+        mean[1],
+        spread[1],
+        described(method),
+        order,
     )

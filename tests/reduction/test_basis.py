@@ -221,3 +221,52 @@ def test_blocks_of_user_arrays_are_put_in_order():
     model = reduce(data, order=3, method=LeastSquares())
     assert model.blocks["field"].tolist() == [0, 1, 2]
     assert model.blocks["component"].tolist() == [3, 4, 5]
+
+
+@pytest.mark.parametrize("power", [0, 1, 2])
+def test_error_bounds_of_a_streamed_basis_hold(power):
+    """Slowly falling singular values (i^-1.4): bounds against the exact basis."""
+    rng = np.random.default_rng(0)
+    U = np.linalg.qr(rng.standard_normal((900, 300)))[0]
+    W = np.linalg.qr(rng.standard_normal((400, 300)))[0]
+    X = 1e3 * U * np.arange(1.0, 301.0) ** -1.4 @ W.T + rng.standard_normal(400)
+    data = state_data([X[:450], X[450:]], scale="none")
+    exact = fit_basis(data, 60, method=ExactSVD())
+    basis = fit_basis(data, 60, method=RandomisedSVD(power=power))
+    assert exact.residuals is None
+    assert exact.angle_bound(5) == 0.0
+    # nothing but rounding between bound and truth where the bound is rounding itself
+    rounding = 1e-12 * exact.singular_values[0]
+    for s, r in zip(basis.singular_values, basis.residuals, strict=True):
+        assert np.abs(exact.singular_values - s).min() <= r + rounding
+    gone = np.concatenate([p.copy() for p in data.pieces(shift=basis.mean)])
+    missed = np.linalg.norm(gone - gone @ basis.V @ basis.V.T) / np.linalg.norm(gone)
+    assert basis.left_out == pytest.approx(missed, rel=1e-9)
+    assert basis.left_out >= exact.left_out * (1 - 1e-9)
+    for count in (3, 10, 20):
+        V, W = basis.V[:, :count], exact.V[:, :count]
+        # the sine itself, by what V leaves of W: small angles keep their digits
+        angle = np.linalg.norm(W - V @ (V.T @ W), 2)
+        assert angle <= basis.angle_bound(count) + 1e-12
+    if power == 2:
+        assert angle < 1e-6  # the first 20 directions, as asked of large sets
+    if power == 0:
+        assert angle > 1e-4  # a start alone is not enough
+    with pytest.raises(ParameterError, match="count"):
+        basis.angle_bound(60)
+
+
+def test_a_streamed_basis_reads_the_data_power_plus_three_times(monkeypatch):
+    """Once for the moments, once for the start, once for each product."""
+    data = state_data([decaying(), decaying(seed=1)], scale="none")
+    passes = []
+    pieces = type(data).pieces
+
+    def counted(self, ahead=0, shift=None):
+        if shift is not None:  # the first row alone is looked at without one
+            passes.append(ahead)
+        return pieces(self, ahead, shift)
+
+    monkeypatch.setattr(type(data), "pieces", counted)
+    fit_basis(data, 5, method=RandomisedSVD(power=2))
+    assert len(passes) == 5

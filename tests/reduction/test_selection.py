@@ -9,6 +9,7 @@ import pytest
 import cellsys as cs
 from cellsys.errors import DataError, ParameterError
 from cellsys.reduction import LeastSquares, Ridge, grid, learning_curve, reduce, select_model
+from cellsys.reduction.comparison import described
 from cellsys.reduction.selection import deal
 from tests.reduction.systems import spreading_data
 
@@ -35,6 +36,12 @@ def test_grid():
     assert methods[1] == Ridge(ridge=1e-3, step=10.0)
     with pytest.raises(ParameterError, match="it has ridge, step, svd"):
         grid(Ridge(), {"rigde": [1.0]})
+
+
+def test_a_method_in_words():
+    assert described(Ridge()) == "Ridge()"
+    assert described(Ridge(ridge=2.0, step=5.0)) == "Ridge(ridge=2.0, step=5.0)"
+    assert described(Spy()) == "Spy()"
 
 
 def test_runs_are_dealt_whole_and_once():
@@ -73,7 +80,7 @@ def test_the_choice_is_the_best_candidate_and_the_nested_error_is_that_of_its_fo
     fold = chosen.folds[0]
     kept = tuple(r for r in data.runs if r.label not in fold.runs)
     out = tuple(r for r in data.runs if r.label in fold.runs)
-    method = next(m for m in methods if repr(m) == fold.settings)
+    method = next(m for m in methods if described(m) == fold.settings)
     card = reduce(
         dataclasses.replace(data, runs=kept),
         order=fold.order,
