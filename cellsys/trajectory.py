@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,6 +13,52 @@ import scipy.sparse as sp
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError
 from cellsys.system import Event, Layout
+
+SOON = 5.0  # s: a run that took longer is not solved again only to be printed
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorEstimate:
+    """The integrator's part of a run's error: its largest value over the samples.
+
+    Parameters
+    ----------
+    absolute : array (n,) or None
+        Estimated largest global error of each state, in its unit; None where there is no
+        estimate.
+    scale : array (n,)
+        Largest |x| of each state over the samples.
+    method : str
+        How it was found, or why there is none.
+    time : float
+        What it took, s.
+    """
+
+    absolute: np.ndarray | None
+    scale: np.ndarray
+    method: str
+    time: float = 0.0
+
+    @property
+    def relative(self) -> float:
+        """Largest error over the largest |x|; NaN where there is no estimate."""
+        if self.absolute is None:
+            return float("nan")
+        size = float(self.scale.max(initial=0.0))
+        return float(self.absolute.max(initial=0.0)) / size if size else 0.0
+
+    def blocks(self, states: Layout) -> dict[str, float]:
+        """Largest absolute error of each state block."""
+        if self.absolute is None:
+            return {}
+        return {
+            b.name: float(self.absolute[states.slice(b.name)].max(initial=0.0)) for b in states
+        }
+
+    def __str__(self) -> str:
+        if self.absolute is None:
+            return f"not estimated ({self.method})"
+        return f"{self.relative:.1e} of the largest state ({self.method}, {self.time:.2g} s)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +101,11 @@ class Trajectory(Drawable):
         Counts and times of the integrator.
     geometry : mapping of str to array
         Constant places of the system, such as ``matrix.rest`` (N, 3) um.
+    estimator : callable, optional
+        Finds `error` when it is first asked for; it may solve the run again.
+    model_error : mapping of str to float
+        The model's part of the error, from its card: relative error of roll-outs by block.
+        Empty for a full-order run, which is its own reference.
     """
 
     t: np.ndarray
@@ -72,6 +124,8 @@ class Trajectory(Drawable):
     statistics: Mapping[str, Any] = field(default_factory=dict)
     label: str = ""
     geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
+    estimator: Callable[[], ErrorEstimate] | None = field(default=None, repr=False)
+    model_error: Mapping[str, float] = field(default_factory=dict)
 
     _figure: ClassVar[str] = "trajectory"
 
@@ -119,11 +173,33 @@ class Trajectory(Drawable):
             share[block.name] = float(np.linalg.norm(residual[:, piece])) / norm if norm else 0.0
         return share
 
+    @cached_property
+    def error(self) -> ErrorEstimate:
+        """The integrator's part of the error, found when first asked for."""
+        if self.estimator is None:
+            return ErrorEstimate(None, np.zeros(self.states.size), "no estimate for this run")
+        return self.estimator()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # An estimator holds the system, whose laws need not be picklable.
+        return {k: v for k, v in self.__dict__.items() if k != "estimator"} | {"estimator": None}
+
     def __str__(self) -> str:
         wall = self.statistics.get("wall_time")
-        took = f", computed in {wall:.2f} s" if wall is not None else ""
-        return (
+        took = f", computed in {wall:.3g} s" if wall is not None else ""
+        lines = [
             f"Trajectory {self.label or '(unnamed)'}: {len(self)} samples, "
             f"t = {self.t[0]:g} .. {self.t[-1]:g} s, {self.states.size} states, "
             f"{self.auxiliaries.size} auxiliaries, {len(self.events)} events{took}"
-        )
+        ]
+        quick = self.statistics.get("estimate_is_quick", wall is not None and wall < SOON)
+        if "error" in self.__dict__ or (self.estimator is not None and quick):
+            lines.append(f"integrator's error: {self.error}")
+        elif self.estimator is not None:
+            lines.append(f"integrator's error: `.error` finds it (about {2 * wall:.0f} s)")
+        else:
+            lines.append("integrator's error: not estimated")
+        if self.model_error:
+            parts = ", ".join(f"{k} {v:.2g}" for k, v in self.model_error.items())
+            lines.append(f"model's error (its card): {parts}")
+        return "\n".join(lines)

@@ -163,3 +163,76 @@ def dense_coupled_poles(model, K):
 
     V_phi = model.V[model.blocks["field"]]
     return np.linalg.eigvals(kronecker_coupling("Superposition", model.A, V_phi.T @ V_phi, K))
+
+
+def last_local_error(problem, rtol, atol):
+    """(x, what the last step of Radau adds to the error): earlier steps are left out."""
+    import numpy as np
+    from scipy.integrate import Radau, solve_ivp
+
+    rhs = problem.rhs
+    solver = Radau(rhs, 0.0, problem.x0, problem.end, rtol=rtol, atol=atol)
+    while solver.status == "running":
+        before = solver.y.copy()
+        solver.step()
+    again = solve_ivp(
+        rhs, (solver.t_old, solver.t), before, "Radau", rtol=1e-12, atol=1e-3 * atol * rtol
+    )
+    return solver.y, np.abs(solver.y - again.y[:, -1])
+
+
+def bytes_promised_without_a_word(nodes):
+    """A request for three coordinates of so many nodes: numpy gives it, unbacked by memory."""
+    import numpy as np
+
+    return np.empty((nodes, 3)).nbytes
+
+
+def array_by_offset(data, name):
+    """An array of an archive read from where its bytes should be, checking nothing."""
+    import numpy as np
+
+    place = data.find(f"{name}.npy".encode())
+    start = data.find(b"\n", place) + 1
+    return np.frombuffer(data[start : start + 200][: len(data[start : start + 200]) // 8 * 8])
+
+
+def unpacked_size(path):
+    """Bytes that reading every entry of an archive takes, found by reading them."""
+    import zipfile
+
+    with zipfile.ZipFile(path) as archive:
+        return sum(len(archive.read(name)) for name in archive.namelist())
+
+
+def load_everything(path):
+    """An npz read with pickles allowed."""
+    import numpy as np
+
+    with np.load(path, allow_pickle=True) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
+def locked_by_a_file(path):
+    """A lock that is the presence of a file: it outlives its owner."""
+    return path.exists()
+
+
+def write_in_place(path, data, stop):
+    """A file overwritten where it stands, its writer stopped after `stop` bytes."""
+    with open(path, "wb") as file:
+        file.write(data[:stop])
+
+
+def mapped_rows(folder, shapes):
+    """Arrays of a run as sparse mapped files, filled without asking for room: SIGBUS."""
+    import numpy as np
+
+    for name, shape in shapes.items():
+        array = np.lib.format.open_memmap(f"{folder}/{name}.npy", "w+", float, shape)
+        array[:] = 1.0
+
+
+def float_of_locale(text):
+    """A number read with the decimal mark that a comma may be."""
+    return float(text.replace(",", "."))

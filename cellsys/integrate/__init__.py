@@ -1,16 +1,22 @@
 """Integrator objects and `simulate`: problem, method, data, in that order."""
 
 from cellsys.integrate.explicit import ExplicitEuler, stability_limit
+from cellsys.integrate.exponential import Exponential
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
+from cellsys.integrate.rkc import RKC
 from cellsys.integrate.scipy_methods import DOP853, LSODA, Radau
 from cellsys.integrate.simulate import simulate
-from cellsys.integrate.symbolic import CVODES, RungeKutta4
+from cellsys.integrate.symbolic import CVODES, IDAS, Collocation, RungeKutta4
 
 __all__ = [
     "CVODES",
     "DOP853",
+    "IDAS",
     "LSODA",
+    "RKC",
+    "Collocation",
     "ExplicitEuler",
+    "Exponential",
     "LinearlyImplicit",
     "Radau",
     "RungeKutta4",

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from cellsys.errors import IntegrationError, ParameterError
-from cellsys.integrate.symbolic import Solution
+from cellsys.integrate.solution import Solution
 from cellsys.system import Event, EventFunction, OdeSystem
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
@@ -38,6 +38,7 @@ def solve_hybrid(
     name: str,
     max_steps: int,
     cascade: int,
+    averages: bool = True,
 ) -> Solution:
     """Samples, interval averages and events of a hybrid run over the grid `t`.
 
@@ -51,17 +52,19 @@ def solve_hybrid(
         Most steps of the whole run.
     cascade : int
         Most events at one instant.
+    averages : bool
+        Whether eta and u are averaged over the sampling intervals.
 
     Raises
     ------
     IntegrationError
         The method fails, a state is not finite, `max_steps` is spent, or events chatter.
     """
-    return _Run(system, t, x0, start, name, max_steps, cascade).solve()
+    return _Run(system, t, x0, start, name, max_steps, cascade, averages).solve()
 
 
 class _Run:
-    def __init__(self, system, t, x0, start, name, max_steps, cascade) -> None:  # type: ignore[no-untyped-def]
+    def __init__(self, system, t, x0, start, name, max_steps, cascade, averages) -> None:  # type: ignore[no-untyped-def]
         self.system, self.times, self.start = system, t, start
         self.name, self.max_steps, self.cascade = name, max_steps, cascade
         self.guards: tuple[EventFunction, ...] = tuple(system.events())
@@ -73,6 +76,7 @@ class _Run:
         self.x = np.empty((T, n))
         self.eta = np.zeros((max(T - 1, 0), n_eta))
         self.u = np.zeros((max(T - 1, 0), n))
+        self.averages = averages
         self.events: list[Event] = []
         self.state = np.array(x0, dtype=float)
         self.now = float(t[0])
@@ -254,7 +258,7 @@ class _Run:
         while True:
             last = self.sample == len(times) - 1
             b = end if last else min(end, float(times[self.sample + 1]))
-            if b > a and not last:
+            if b > a and not last and self.averages:
                 self._average(dense, a, b)
             if last or times[self.sample + 1] > end:
                 return

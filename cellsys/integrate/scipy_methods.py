@@ -11,7 +11,7 @@ import scipy.integrate as integrate
 
 from cellsys.errors import ParameterError
 from cellsys.integrate.hybrid import solve_hybrid
-from cellsys.integrate.symbolic import Solution
+from cellsys.integrate.solution import Solution
 from cellsys.system import OdeSystem
 
 
@@ -37,7 +37,9 @@ class _Method:
         if self.first_step is not None and not self.first_step > 0:
             raise ParameterError(f"{name}.first_step must be > 0 s, got {self.first_step!r}")
 
-    def solve(self, system: OdeSystem, t: np.ndarray, x0: np.ndarray) -> Solution:
+    def solve(
+        self, system: OdeSystem, t: np.ndarray, x0: np.ndarray, *, averages: bool = True
+    ) -> Solution:
         """Integrate over the grid `t`, with the system's events and stop points."""
 
         def start(fun: Any, t0: float, x: np.ndarray, bound: float) -> Any:
@@ -61,6 +63,7 @@ class _Method:
             name=type(self).__name__,
             max_steps=self.max_steps,
             cascade=self.cascade,
+            averages=averages,
         )
 
 
@@ -102,8 +105,10 @@ class LSODA(_Method):
 
     _solver: ClassVar[Any] = integrate.LSODA
 
-    def solve(self, system: OdeSystem, t: np.ndarray, x0: np.ndarray) -> Solution:
+    def solve(
+        self, system: OdeSystem, t: np.ndarray, x0: np.ndarray, *, averages: bool = True
+    ) -> Solution:
         with warnings.catch_warnings():
             # What it warns of it also fails with, and the IntegrationError says so once.
             warnings.filterwarnings("ignore", message="lsoda:", category=UserWarning)
-            return super().solve(system, t, x0)
+            return super().solve(system, t, x0, averages=averages)

@@ -10,8 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
+from cellsys.integrate.estimate import estimate_of, first_order
 from cellsys.system import Block, Event, Layout, OdeSystem
-from cellsys.trajectory import Trajectory
+from cellsys.trajectory import ErrorEstimate, Trajectory
 
 SEGMENT = 20  # samples between two checkpoints
 
@@ -104,6 +105,7 @@ def simulate(
     sink: Sink | None = None,
     progress: Callable[[float], None] | None = None,
     label: str = "",
+    model_error: Mapping[str, float] | None = None,
 ) -> Trajectory:
     """Integrate a system and record it at the times `t`.
 
@@ -111,8 +113,11 @@ def simulate(
     ----------
     system : OdeSystem
         What to integrate.
-    integrator : LinearlyImplicit, ExplicitEuler, CVODES, RungeKutta4, DOP853, Radau or LSODA
-        How; it carries its step or tolerances. The last three locate a system's events.
+    integrator : object of `cellsys.integrate`
+        How; it carries its step or tolerances. LinearlyImplicit, RKC and ExplicitEuler are for
+        full-order models, Exponential for closed loops on latent models, CVODES, IDAS,
+        Collocation and RungeKutta4 for systems with a symbolic form; DOP853, Radau and LSODA
+        take any system and locate its events.
     t : array (T,)
         Sample times, s, increasing; the run starts at t[0].
     x0 : array (n,), optional
@@ -125,6 +130,10 @@ def simulate(
         Where rows go; default memory. A sink with a checkpoint is continued.
     progress : callable, optional
         Called with the share done, 0 to 1.
+    label : str
+        Name of the run.
+    model_error : mapping, optional
+        The model's part of the error by block, written to the trajectory.
 
     Raises
     ------
@@ -156,10 +165,11 @@ def simulate(
     if auxiliaries:
         rows.arrays["eta_start"][: system.auxiliaries.size] = system.eta(float(times[0]), start)
     began = clock.perf_counter()
+    estimator = None
     if hasattr(integrator, "solve"):
-        statistics, events = _record_solution(
-            system, integrator.solve(system, times, start), times, rows, auxiliaries
-        )
+        solution = integrator.solve(system, times, start, averages=auxiliaries)
+        statistics, events = _record_solution(system, solution, times, rows, auxiliaries)
+        own = solution.estimate
     else:
         rng = np.random.default_rng(
             seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
@@ -167,9 +177,33 @@ def simulate(
         statistics, events = _march(
             system, integrator, times, start, rng, rows, auxiliaries, progress
         )
+        own = None
+    # A stepper without tolerances reads its error from the samples, in `trajectory_of`.
+    if "step" not in statistics:
+
+        def again(second: Any) -> np.ndarray:
+            return _samples(system, second, times, start, seed)
+
+        estimator = estimate_of(integrator, rows.arrays["x"], again, own)
     statistics["wall_time"] = statistics.get("wall_time", 0.0) + clock.perf_counter() - began
     statistics["integrator"] = repr(integrator)
-    return trajectory_of(system, times, rows.arrays, events, statistics, label)
+    return trajectory_of(
+        system, times, rows.arrays, events, statistics, label, estimator, model_error
+    )
+
+
+def _samples(
+    system: OdeSystem, integrator: Any, t: np.ndarray, x0: np.ndarray, seed: Any
+) -> np.ndarray:
+    """The states (T, n) alone of a run."""
+    if hasattr(integrator, "solve"):
+        return integrator.solve(system, t, x0, averages=False).x
+    rows = _Memory({"x": (len(t), len(x0))})
+    rng = np.random.default_rng(
+        seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    )
+    _march(system, integrator, t, x0, rng, rows, False, None)
+    return rows.arrays["x"]
 
 
 def trajectory_of(
@@ -179,9 +213,16 @@ def trajectory_of(
     events: tuple[Event, ...],
     statistics: Mapping[str, Any],
     label: str,
+    estimator: Callable[[], ErrorEstimate] | None = None,
+    model_error: Mapping[str, float] | None = None,
 ) -> Trajectory:
     """A `Trajectory` over recorded arrays."""
     full = "eta" in arrays
+    if estimator is None and "step" in statistics:
+        # A first-order stepper: its error is read from the samples.
+        def estimator() -> ErrorEstimate:
+            return first_order(t, arrays["x"], float(statistics["step"]))
+
     return Trajectory(
         t=t,
         x=arrays["x"],
@@ -203,6 +244,8 @@ def trajectory_of(
         statistics=statistics,
         label=label,
         geometry=system.geometry(),
+        estimator=estimator,
+        model_error=dict(model_error or {}),
     )
 
 
@@ -277,15 +320,33 @@ def _march(
             )
         if progress is not None:
             progress((k + 1) / (len(t) - 1))
-    return {**stepper.statistics, "wall_time": wall}, tuple(stepper.events)
+    statistics = {**stepper.statistics, "wall_time": wall}
+    if getattr(integrator, "rtol", None) is None:
+        statistics |= {"step": float(integrator.step), "estimate_is_quick": True}
+    return statistics, tuple(stepper.events)
 
 
 def _record_solution(
     system: OdeSystem, solution: Any, t: np.ndarray, rows: Sink, auxiliaries: bool
 ) -> tuple[dict[str, Any], tuple[Event, ...]]:
-    for k in range(len(t)):
-        _sample(system, rows.arrays, k, float(t[k]), solution.x[k])
-        if auxiliaries and k + 1 < len(t):
-            u = solution.u[k]
-            _log(system, rows.arrays, k, t, solution.x[k], solution.x[k + 1], solution.eta[k], u)
+    arrays, x = rows.arrays, solution.x
+    arrays["x"][:] = x
+    together = getattr(system, "observe_rows", None)
+    if together is not None:
+        for name, values in together(t, x).items():
+            if name in arrays:
+                arrays[name][:] = values
+    else:
+        for k in range(len(t)):
+            for name, value in system.observe(float(t[k]), x[k]).items():
+                if name in arrays:
+                    arrays[name][k] = value
+    if auxiliaries and len(t) > 1:
+        n_eta, linear = system.auxiliaries.size, solution.u.copy()
+        linear += (system.W_x @ x[:-1].T).T
+        if n_eta:
+            linear += (system.W_eta @ solution.eta.T).T
+            arrays["eta"][:, :n_eta] = solution.eta
+        arrays["eta"][:, n_eta:] = np.diff(x, axis=0) / np.diff(t)[:, None] - linear
+        arrays["u"][:] = solution.u
     return dict(solution.statistics), tuple(solution.events)

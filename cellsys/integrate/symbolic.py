@@ -1,28 +1,22 @@
-"""CasADi integrators for systems with a symbolic form: CVODES and fixed-step RK4."""
+"""CasADi integrators for systems with a symbolic form: CVODES, IDAS, collocation, RK4.
+
+One integrator object serves all samples of a smooth piece, so that a multistep method keeps its
+order and step from sample to sample; a new piece begins at every stop point.
+"""
 
 from __future__ import annotations
 
 import time as clock
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from cellsys.errors import IntegrationError, ParameterError
+from cellsys.integrate.solution import Solution
 from cellsys.integrate.stepping import check_step
-from cellsys.system import Event, OdeSystem
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """Samples x (T, n), interval averages eta and u (T - 1, .), events, statistics."""
-
-    x: np.ndarray
-    eta: np.ndarray
-    u: np.ndarray
-    statistics: dict[str, Any]
-    events: list[Event] = field(default_factory=list)
+from cellsys.system import OdeSystem
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,22 +27,100 @@ class CVODES:
     ----------
     rtol, atol : float
         Local error per step is kept below rtol |x| + atol; the global error is typically 10 to
-        40 times larger. There is no default.
+        40 times larger, which `Trajectory.error` shows. There is no default.
+    max_steps : int
+        Most steps between two samples.
     """
 
     rtol: float
     atol: float
+    max_steps: int = 100_000
+
+    plugin: ClassVar[str] = "cvodes"
 
     def __post_init__(self) -> None:
-        for name in ("rtol", "atol"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ParameterError(f"CVODES.{name} must be > 0, got {value!r}")
+        _check_tolerances(self)
 
-    def solve(self, system: OdeSystem, t: np.ndarray, x0: np.ndarray) -> Solution:
+    def solve(
+        self, system: OdeSystem, t: np.ndarray, x0: np.ndarray, *, averages: bool = True
+    ) -> Solution:
         """Integrate over the grid `t`; no step crosses a stop point."""
-        options = {"reltol": self.rtol, "abstol": self.atol, "max_num_steps": 100_000}
-        return _solve(system, t, x0, "cvodes", options, None)
+        return solve_symbolic(self, system, t, x0, averages)
+
+    def options(self, span: float) -> dict[str, Any]:
+        """CasADi's options for a piece of `span` seconds."""
+        return {"reltol": self.rtol, "abstol": self.atol, "max_num_steps": self.max_steps}
+
+
+@dataclass(frozen=True, kw_only=True)
+class IDAS:
+    """Variable-order BDF of SUNDIALS for implicit systems, through CasADi.
+
+    Parameters are those of `CVODES`. It starts less easily on very stiff systems (the van der
+    Pol equation at eps = 1e-6, say) and then fails with an `IntegrationError`.
+    """
+
+    rtol: float
+    atol: float
+    max_steps: int = 100_000
+
+    plugin: ClassVar[str] = "idas"
+
+    def __post_init__(self) -> None:
+        _check_tolerances(self)
+
+    def solve(
+        self, system: OdeSystem, t: np.ndarray, x0: np.ndarray, *, averages: bool = True
+    ) -> Solution:
+        """Integrate over the grid `t`; no step crosses a stop point."""
+        return solve_symbolic(self, system, t, x0, averages)
+
+    def options(self, span: float) -> dict[str, Any]:
+        """CasADi's options for a piece of `span` seconds."""
+        return {"reltol": self.rtol, "abstol": self.atol, "max_num_steps": self.max_steps}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collocation:
+    """Radau collocation with a fixed step, implicit and L-stable, of order 2 s - 1.
+
+    Parameters
+    ----------
+    step : float
+        Largest step, s.
+    stages : int
+        Collocation points s of a step, 1 to 9.
+    """
+
+    step: float
+    stages: int = 3
+
+    plugin: ClassVar[str] = "collocation"
+
+    def __post_init__(self) -> None:
+        check_step("Collocation", self.step)
+        if not 1 <= self.stages <= 9:
+            raise ParameterError(f"Collocation.stages must be 1 to 9, got {self.stages!r}")
+
+    @property
+    def order(self) -> int:
+        """2 s - 1."""
+        return 2 * self.stages - 1
+
+    def solve(
+        self, system: OdeSystem, t: np.ndarray, x0: np.ndarray, *, averages: bool = True
+    ) -> Solution:
+        """Integrate over the grid `t`; no step crosses a stop point."""
+        return solve_symbolic(self, system, t, x0, averages)
+
+    def options(self, span: float) -> dict[str, Any]:
+        """CasADi's options for a piece of `span` seconds."""
+        return {
+            "number_of_finite_elements": _pieces(span, self.step),
+            "interpolation_order": self.stages,
+            "collocation_scheme": "radau",
+            "rootfinder_options": {"abstol": 1e-13},
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,83 +135,163 @@ class RungeKutta4:
 
     step: float
 
+    plugin: ClassVar[str] = "rk"
+    order: ClassVar[int] = 4
+
     def __post_init__(self) -> None:
         check_step("RungeKutta4", self.step)
 
-    def solve(self, system: OdeSystem, t: np.ndarray, x0: np.ndarray) -> Solution:
+    def solve(
+        self, system: OdeSystem, t: np.ndarray, x0: np.ndarray, *, averages: bool = True
+    ) -> Solution:
         """Integrate over the grid `t`; no step crosses a stop point."""
-        return _solve(system, t, x0, "rk", {}, self.step)
+        return solve_symbolic(self, system, t, x0, averages)
+
+    def options(self, span: float) -> dict[str, Any]:
+        """CasADi's options for a piece of `span` seconds."""
+        return {"number_of_finite_elements": _pieces(span, self.step)}
 
 
-def _solve(
-    system: OdeSystem,
-    t: np.ndarray,
-    x0: np.ndarray,
-    plugin: str,
-    options: dict[str, Any],
-    step: float | None,
+def _check_tolerances(method: Any) -> None:
+    for name in ("rtol", "atol", "max_steps"):
+        value = getattr(method, name)
+        if not (np.isfinite(value) and value > 0):
+            raise ParameterError(f"{type(method).__name__}.{name} must be > 0, got {value!r}")
+
+
+def _pieces(span: float, step: float) -> int:
+    return max(1, int(np.ceil(span / step * (1 - 1e-12))))
+
+
+def solve_symbolic(
+    method: Any, system: OdeSystem, t: np.ndarray, x0: np.ndarray, averages: bool
 ) -> Solution:
+    """Samples of `system` at `t` by one of the methods above.
+
+    Raises
+    ------
+    IntegrationError
+        CasADi's integrator fails, or a state is not finite.
+    NotSymbolicError
+        The system has no symbolic form.
+    """
+    T, n, n_eta = len(t), system.states.size, system.auxiliaries.size
+    began = clock.perf_counter()
+    x = np.empty((T, n))
+    x[0] = state = x0
+    running = np.zeros((T, n_eta + n))
+    counts = {"steps": 0, "rhs": 0, "factorisations": 0, "rejected": 0}
+    built = 0.0
+    for edges, inside in pieces(t, np.asarray(system.stop_points(), dtype=float)):
+        state = x[inside[0]] if edges[0] == t[inside[0]] else state
+        start = clock.perf_counter()
+        F = integrator_of(method, system, edges, averages)
+        built += clock.perf_counter() - start
+        found, sums = _call(method, system, F, edges, state)
+        state = found[-1]
+        if averages:
+            # A piece may begin or end between samples: sums of both parts add up.
+            running[inside[0] + 1 :] += sums[-1]
+            at = np.searchsorted(edges, t[inside[1] : inside[2]])
+            running[inside[1] : inside[2]] += sums[at - 1] - sums[-1]
+        rows = np.flatnonzero(np.isin(edges, t[inside[1] : inside[2]]))
+        rows = rows[rows > 0]
+        x[inside[1] : inside[2]] = found[rows - 1]
+        _count(counts, F, method, edges)
+    eta = u = None
+    if averages:
+        mean = np.diff(running, axis=0) / np.diff(t)[:, None]
+        eta, u = mean[:, :n_eta], mean[:, n_eta:]
+    took = clock.perf_counter() - began
+    statistics = {**counts, "construction_time": built, "solve_time": took - built}
+    return Solution(x, eta, u, statistics)
+
+
+def pieces(t: np.ndarray, stops: np.ndarray) -> list[tuple[np.ndarray, tuple[int, int, int]]]:
+    """Smooth pieces of the grid: (times from edge to edge, (sample at or before, first, end)).
+
+    Samples first..end-1 lie in (start, end] of the piece.
+    """
+    if len(t) < 2:
+        return []
+    inner = np.unique(stops[(stops > t[0]) & (stops < t[-1])])
+    edges = np.concatenate([[t[0]], inner, [t[-1]]])
+    out = []
+    for a, b in pairwise(edges):
+        first, end = np.searchsorted(t, a, side="right"), np.searchsorted(t, b, side="right")
+        times = np.unique(np.concatenate([[a], t[first:end], [b]]))
+        out.append((times, (int(first) - 1, int(first), int(end))))
+    return out
+
+
+def integrator_of(method: Any, system: OdeSystem, times: np.ndarray, averages: bool) -> Any:
+    """CasADi integrator from times[0] to the other times; kept with the system.
+
+    Outputs: ``xf`` (n, T - 1) and, with `averages`, the running integrals ``qf`` of eta and u.
+    """
     import casadi as ca
 
-    form = system.casadi()
-    n, n_eta = system.states.size, system.auxiliaries.size
-    began = clock.perf_counter()
-    # Time enters as a parameter plus tau in [0, length], so that one integrator serves every
-    # interval of the same length.
-    start, tau, length = ca.SX.sym("start"), ca.SX.sym("tau"), ca.SX.sym("length")
-    now = start + tau * length
-    xdot = ca.substitute(form.xdot, form.t, now)
-    quad = [ca.substitute(form.eta, form.t, now)] if n_eta else []
-    # u is what W_x x + W_eta eta leave of dx/dt.
-    rest = xdot - ca.DM(system.W_x.toarray()) @ form.x
-    if n_eta:
-        rest = rest - ca.DM(system.W_eta.toarray()) @ quad[0]
-    problem = {
-        "x": form.x,
-        "t": tau,
-        "p": ca.vertcat(start, length),
-        "ode": length * xdot,
-        "quad": ca.vertcat(*quad, rest),
-    }
-    stops = np.unique(np.asarray(system.stop_points(), dtype=float))
-    built: dict[int, Any] = {}
-    x = np.empty((len(t), n))
-    x[0] = x0
-    eta, u = np.zeros((max(len(t) - 1, 0), n_eta)), np.zeros((max(len(t) - 1, 0), n))
-    steps = 0
-    for k in range(len(t) - 1):
-        a, b = float(t[k]), float(t[k + 1])
-        edges = [a, *stops[(stops > a) & (stops < b)], b]
-        state = x[k]
-        for c, d in pairwise(edges):
-            pieces = 1 if step is None else max(1, int(np.ceil((d - c) / step * (1 - 1e-12))))
-            if pieces not in built:
-                # CasADi counts finite elements over the whole interval.
-                extra = {"number_of_finite_elements": pieces} if step is not None else {}
-                built[pieces] = ca.integrator("step", plugin, problem, 0.0, 1.0, options | extra)
-            try:
-                out = built[pieces](x0=state, p=[c, d - c])
-            except RuntimeError as error:
-                norm = float(np.linalg.norm(state))
-                raise IntegrationError(
-                    f"{plugin} failed: {_last_line(error)}", time=c, state_norm=norm, step=d - c
-                ) from error
-            state = np.asarray(out["xf"], dtype=float).ravel()
-            if not np.all(np.isfinite(state)):
-                bad = system.states.names[int(np.flatnonzero(~np.isfinite(state))[0])]
-                raise IntegrationError(
-                    f"{plugin}: state {bad!r} is not finite; use a smaller step or tolerance",
-                    time=d,
-                    state_norm=float(np.linalg.norm(x[k])),
-                    step=d - c if step is None else step,
-                )
-            q = np.asarray(out["qf"], dtype=float).ravel() * (d - c) / (b - a)
-            eta[k] += q[:n_eta]
-            u[k] += q[n_eta:]
-            steps += pieces
-        x[k + 1] = state
-    statistics = {"steps": steps, "solve_time": clock.perf_counter() - began}
-    return Solution(x, eta, u, statistics)
+    kept = system.__dict__.setdefault("_integrators", {})
+    key = (repr(method), averages, times.tobytes())
+    if key not in kept:
+        form = system.casadi()
+        # A stage at the end of a piece takes the limit from the left.
+        last = ca.fmin(form.t, float(np.nextafter(times[-1], times[0])))
+        xdot, law = ca.substitute([form.xdot, form.eta], [form.t], [last])
+        problem = {"x": form.x, "t": form.t, "ode": xdot}
+        if getattr(form, "p", None) is not None:
+            problem["p"] = form.p
+        if averages:
+            n_eta = system.auxiliaries.size
+            rest = xdot - ca.DM(system.W_x.toarray()) @ form.x
+            if n_eta:
+                rest = rest - ca.DM(system.W_eta.toarray()) @ law
+            problem["quad"] = ca.vertcat(*([law] if n_eta else []), rest)
+        options = method.options(float(times[-1] - times[0])) | {"show_eval_warnings": False}
+        if len(kept) >= 8:
+            kept.pop(next(iter(kept)))
+        kept[key] = ca.integrator(
+            "piece", method.plugin, problem, float(times[0]), times[1:].tolist(), options
+        )
+    return kept[key]
+
+
+def _call(
+    method: Any, system: OdeSystem, F: Any, times: np.ndarray, state: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    values = {} if F.size1_in("p") == 0 else {"p": system.parameter_values}
+    name, norm = type(method).__name__, float(np.linalg.norm(state))
+    span = float(times[-1] - times[0])
+    try:
+        out = F(x0=state, **values)
+    except RuntimeError as error:
+        raise IntegrationError(
+            f"{name} failed: {_last_line(error)}", time=times[0], state_norm=norm, step=span
+        ) from error
+    x = np.asarray(out["xf"], dtype=float).T
+    if not np.all(np.isfinite(x)):
+        row = int(np.flatnonzero(~np.isfinite(x).all(axis=1))[0])
+        bad = system.states.names[int(np.flatnonzero(~np.isfinite(x[row]))[0])]
+        raise IntegrationError(
+            f"{name}: state {bad!r} is not finite; use a smaller step or tolerance",
+            time=float(times[row + 1]),
+            state_norm=float(np.linalg.norm(x[row - 1])) if row else norm,
+            step=getattr(method, "step", span),
+        )
+    return x, np.asarray(out["qf"], dtype=float).T
+
+
+def _count(counts: dict[str, int], F: Any, method: Any, times: np.ndarray) -> None:
+    found = F.stats()
+    if "nsteps" in found:
+        counts["steps"] += int(found["nsteps"])
+        counts["rhs"] += int(found.get("nfevals", 0))
+        counts["factorisations"] += int(found.get("nlinsetups", 0))
+        counts["rejected"] += int(found.get("netfails", 0))
+        return
+    span = float(times[-1] - times[0])
+    h = span / method.options(span)["number_of_finite_elements"]
+    counts["steps"] += int(np.ceil(np.diff(times) / h * (1 - 1e-12)).sum())
 
 
 def _last_line(error: RuntimeError) -> str:

@@ -102,3 +102,19 @@ def heading_features(p: Any, order: int = 2) -> Any:
         c_k, s_k = c_k * c - s_k * s, s_k * c + c_k * s
         features += [c_k, s_k]
     return ops.concatenate(features)
+
+
+def rate_rows(p: np.ndarray, d: np.ndarray, kappa: float) -> np.ndarray:
+    """`rate` for rows of directions: p and d (..., 3)."""
+    return kappa * (d * np.vecdot(p, p)[..., None] - p * np.vecdot(p, d)[..., None])
+
+
+def heading_rows(p: np.ndarray) -> np.ndarray:
+    """`heading_features` of order 2 for rows of directions: (..., 3) -> (..., 4)."""
+    turn = p[..., 0] + 1j * p[..., 1]
+    turn /= np.abs(turn)
+    out = np.empty((*p.shape[:-1], 4))
+    out[..., 0], out[..., 1] = turn.real, turn.imag
+    turn *= turn
+    out[..., 2], out[..., 3] = turn.real, turn.imag
+    return out

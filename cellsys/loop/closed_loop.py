@@ -17,6 +17,7 @@ whose gain margin is the factor on kappa.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -24,28 +25,21 @@ import scipy.linalg as sla
 
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.integrate.semilinear import Semilinear
 from cellsys.integrate.simulate import simulate
 from cellsys.integrate.symbolic import CVODES
 from cellsys.laws.arrays import operations
 from cellsys.laws.polarity import heading_features
+from cellsys.loop.loop_system import ClosedLoopSystem, model_error, semilinear_of
 from cellsys.loop.modal import split_slow
 from cellsys.loop.polarity import PolarityLaw
+from cellsys.loop.scheduled import ScheduledLoop
+from cellsys.reduction.commands import harmonic
+from cellsys.reduction.equivariant.model import EquivariantModel
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.sensor import StiffnessSensor
-from cellsys.system import Block, Layout, OdeSystem
+from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
-
-_FEATURES = ("amplitude", "cos", "sin", "cos2", "sin2")
-
-
-class ClosedLoopSystem(OdeSystem):
-    """State [z; p]; reports p and d with every sample."""
-
-    loop: Any
-
-    def observe(self, t: float, x: np.ndarray) -> dict[str, np.ndarray]:
-        loop = self.loop
-        return {"p": x[None, loop.order :].copy(), "d": loop.sensed(x[: loop.order])[None]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +106,7 @@ class ClosedLoop:
     Parameters
     ----------
     model : LatentModel
-        Its inputs must be heading features (amplitude, cos, sin, cos2, sin2) of one cell.
+        Its inputs must be heading features (amplitude, cos, sin, cos2, ...) of one cell.
     controller : PolarityLaw
     sensor : StiffnessSensor
     normalise : bool
@@ -135,9 +129,12 @@ class ClosedLoop:
 
     def commands(self, p: Any) -> Any:
         """Inputs c(p) of the model, numpy or CasADi."""
-        all_of = dict(zip(_FEATURES[1:], _split(heading_features(p)), strict=True))
-        all_of["amplitude"] = 1.0
-        chosen = [all_of[name.split(".")[-1]] for name in self.model.input_names]
+        parts = [harmonic(name) for name in self.model.input_names]
+        values = heading_features(p, max((q for _, q, _ in parts), default=1) or 1)
+        chosen = [
+            1.0 if kind == "amplitude" else values[2 * (q - 1) + (kind == "sin")]
+            for kind, q, _ in parts
+        ]
         return operations(p).concatenate(chosen)
 
     def sensed(self, z: Any) -> Any:
@@ -149,7 +146,12 @@ class ClosedLoop:
         # A raw direction of zero stays zero and turns nothing.
         return raw / ops.sqrt(ops.dot(raw, raw) + 1e-300)
 
-    @property
+    @cached_property
+    def semilinear(self) -> Semilinear:
+        """The linear plant and the slow heading, and what `Exponential` keeps of them."""
+        return semilinear_of(self)
+
+    @cached_property
     def system(self) -> ClosedLoopSystem:
         """The loop as an `OdeSystem` with states z and p."""
         A, B, b = self.model.continuous_matrices()
@@ -175,16 +177,30 @@ class ClosedLoop:
         return system
 
     def simulate(
-        self, t: np.ndarray, integrator: Any, *, z0: Any = None, p0: Any = None
+        self,
+        t: np.ndarray,
+        integrator: Any,
+        *,
+        z0: Any = None,
+        p0: Any = None,
+        auxiliaries: bool = False,
     ) -> Trajectory:
-        """Run the loop at the times `t` (s) with a CasADi integrator."""
+        """Run the loop at the times `t` (s); `Exponential` is made for it. No laws are logged."""
         start = np.concatenate(
             [
                 self.z0 if z0 is None else np.asarray(z0, float),
                 self.p0 if p0 is None else np.asarray(p0, float),
             ]
         )
-        return simulate(self.system, integrator, t, start, label="closed loop, reduced")
+        return simulate(
+            self.system,
+            integrator,
+            t,
+            start,
+            auxiliaries=auxiliaries,
+            label="closed loop, reduced",
+            model_error=model_error(self.model),
+        )
 
     def linearize(self, at: Any = None, *, slower_than: float = 0.0) -> Linearisation:
         """Linearise about a point.
@@ -233,15 +249,12 @@ class ClosedLoop:
 
     def _features_slope(self, p: np.ndarray) -> np.ndarray:
         """dc/dtheta (n_c,) at heading theta of p."""
-        theta = np.arctan2(p[1], p[0])
-        slope = {
-            "amplitude": 0.0,
-            "cos": -np.sin(theta),
-            "sin": np.cos(theta),
-            "cos2": -2.0 * np.sin(2 * theta),
-            "sin2": 2.0 * np.cos(2 * theta),
-        }
-        return np.array([slope[n.split(".")[-1]] for n in self.model.input_names])
+        theta, slope = np.arctan2(p[1], p[0]), []
+        for name in self.model.input_names:
+            kind, q, _ = harmonic(name)
+            turned = {"cos": -np.sin(q * theta), "sin": np.cos(q * theta)}
+            slope.append(q * turned.get(kind, 0.0))
+        return np.array(slope)
 
     def open_loop(self, at: Any = None) -> Any:
         """Return ratio for negative feedback, cut at kappa, as `control.StateSpace`.
@@ -331,10 +344,6 @@ def _check_point(z: np.ndarray, p: np.ndarray) -> None:
         raise DataError("p is normal to the substrate or zero: it has no heading")
 
 
-def _split(vector: Any) -> list:
-    return [vector[i] for i in range(4)]
-
-
 def closed_loop(
     model: LatentModel,
     *,
@@ -343,8 +352,10 @@ def closed_loop(
     normalise: bool = True,
     z0: np.ndarray | None = None,
     p0: np.ndarray | None = None,
-) -> ClosedLoop:
+) -> ClosedLoop | ScheduledLoop:
     """Join a reduced plant, the polarity law and the sensor.
+
+    An `EquivariantModel` gives a `ScheduledLoop`, whose plant follows its clock.
 
     Parameters
     ----------
@@ -371,11 +382,12 @@ def closed_loop(
         raise DimensionError(
             f"the sensor reads {sensor.S_d.shape[1]} latent states, the model has {model.order}"
         )
-    names = [n.split(".") for n in model.input_names]
-    if not names or any(n[-1] not in _FEATURES for n in names) or len({n[0] for n in names}) > 1:
+    names = model.input_names
+    owners = {n.rpartition(".")[0] for n in names}
+    if not names or any(harmonic(n) is None for n in names) or len(owners) > 1:
         raise ParameterError(
             "closed_loop needs a model whose inputs are heading features of one cell "
-            f"({', '.join(_FEATURES)}), got {list(model.input_names)}"
+            f"(amplitude, cos, sin, cos2, sin2, ...), got {list(names)}"
         )
     if z0 is None:
         z0 = model.z_start if model.z_start is not None else np.zeros(model.order)
@@ -384,4 +396,6 @@ def closed_loop(
     if z0.shape != (model.order,) or p0.shape != (3,):
         raise DimensionError(f"z0 must be ({model.order},) and p0 (3,), got {z0.shape}, {p0.shape}")
     _check_point(z0, p0)
+    if isinstance(model, EquivariantModel):
+        return ScheduledLoop(model, controller or PolarityLaw(), sensor, z0, p0)
     return ClosedLoop(model, controller or PolarityLaw(), sensor, normalise, z0, p0)

@@ -1,0 +1,99 @@
+"""The integrator's part of the error of a run, estimated from the run itself.
+
+A method with a tolerance controls the error of one step; what is left at the end of a run is the
+sum of what the steps did, carried along by the flow, and can be a hundred times the tolerance.
+Three ways to find it, in order of preference: the method's own second solution, the same run at
+a tenth of the tolerance (or half the step), and for first-order steppers the leading term of
+their error, read from the samples.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import IntegrationError
+from cellsys.trajectory import ErrorEstimate
+
+SAFETY = 1.5  # the second solution is not exact either
+TIGHTEST = 1e-13  # relative tolerance below which rounding rules
+
+
+def estimate_of(
+    integrator: Any, x: np.ndarray, again: Callable[[Any], np.ndarray], own: Any
+) -> Callable[[], ErrorEstimate]:
+    """A function that estimates the error of the samples x (T, n), run when it is called.
+
+    Parameters
+    ----------
+    again : callable
+        ``again(integrator)`` -> (T, n): the same run by another integrator.
+    own : callable or None
+        The method's own estimate, () -> (n,).
+    """
+
+    def find() -> ErrorEstimate:
+        began = clock.perf_counter()
+        scale = np.abs(x).max(axis=0)
+        if own is not None:
+            method, absolute = integrator.estimates, own()
+        else:
+            method, absolute = _twice(integrator, x, again)
+        if absolute is not None:
+            # Rounding of the samples themselves is always there.
+            absolute = SAFETY * absolute + 4 * np.finfo(float).eps * scale
+        return ErrorEstimate(absolute, scale, method, clock.perf_counter() - began)
+
+    return find
+
+
+def finer(integrator: Any) -> Any:
+    """The method at a tenth of its tolerances or half its step; None where that is rounding."""
+    if getattr(integrator, "rtol", None) is not None:
+        if integrator.rtol <= TIGHTEST:
+            return None
+        rtol = max(0.1 * integrator.rtol, 0.5 * TIGHTEST)
+        second = replace(integrator, rtol=rtol, atol=0.1 * integrator.atol)
+        if hasattr(second, "largest_stages"):
+            # Where stages or the step are at their bound, the tolerance alone changes nothing.
+            stages = max(3, int(0.6 * second.largest_stages))
+            second = replace(second, largest_stages=stages, largest_step=0.4 * second.largest_step)
+        return second
+    return replace(integrator, step=0.5 * integrator.step)
+
+
+def _twice(
+    integrator: Any, x: np.ndarray, again: Callable[[Any], np.ndarray]
+) -> tuple[str, np.ndarray | None]:
+    second = finer(integrator)
+    if second is None:
+        return "the tolerance is at rounding", None
+    kind = "half the step" if getattr(second, "rtol", None) is None else "a tenth of the tolerance"
+    try:
+        better = again(second)
+    except IntegrationError as error:
+        return f"the run at {kind} fails: {error}", None
+    order = getattr(integrator, "order", None)
+    # Half the step of an order-q method leaves 2^-q of the error in the second solution too.
+    share = 1.0 if order is None or kind != "half the step" else 1.0 / (1.0 - 0.5**order)
+    return f"solved again at {kind}", share * np.abs(x - better).max(axis=0)
+
+
+def first_order(t: np.ndarray, x: np.ndarray, step: float) -> ErrorEstimate:
+    """Leading error of Euler's methods, (step/2) |x'(t) - x'(0)|, largest over the samples.
+
+    It is what the local errors (step^2/2) x'' add up to when none is damped: for a system that
+    contracts it errs on the large side.
+    """
+    began = clock.perf_counter()
+    x = np.asarray(x)
+    scale = np.abs(x).max(axis=0)
+    if len(t) < 3:
+        return ErrorEstimate(None, scale, "fewer than three samples")
+    rate = np.diff(x, axis=0) / np.diff(t)[:, None]
+    absolute = 0.5 * step * np.abs(rate[1:] - rate[0]).max(axis=0)
+    return ErrorEstimate(absolute, scale, "leading first-order term", clock.perf_counter() - began)
