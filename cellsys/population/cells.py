@@ -47,8 +47,8 @@ class CoupledCells(Drawable):
         None: every cell meets every other with weight 1.
     positions : (K, 2) or (K, 3) or None
         um; they act through the graph only.
-    headings : (K,)
-        Polarity angles at the start, rad.
+    headings : (K,) or None
+        Polarity angles at the start, rad; None: all 0.
     loop : ClosedLoop or None
         Controller and sensor of every cell; None when the model has no headings or no sensor.
     """
@@ -58,7 +58,7 @@ class CoupledCells(Drawable):
     coupling: Any
     graph: InteractionGraph | None
     positions: np.ndarray | None
-    headings: np.ndarray
+    headings: np.ndarray | None
     loop: Any
 
     _figure: ClassVar[str] = "coupled_cells"
@@ -96,18 +96,19 @@ class CoupledCells(Drawable):
         K, m = self.n_cells, self.order
         if self.graph is None or self.graph.uniform is not None:
             return "modal: every cell meets every other alike, one mean and one difference block"
-        if self.graph.symmetric:
+        if self.graph.splits:
             return f"graph: symmetric weights, {K} blocks (master stability function)"
+        why = "too many cells for a split" if self.graph.symmetric else "weights not symmetric"
         if K * m <= DENSE_LIMIT:
-            return f"dense: weights are not symmetric, K m = {K * m} <= {DENSE_LIMIT}"
-        return f"matrix-free: weights are not symmetric and K m = {K * m} > {DENSE_LIMIT}"
+            return f"dense: {why}, K m = {K * m} <= {DENSE_LIMIT}"
+        return f"matrix-free: {why}, K m = {K * m} > {DENSE_LIMIT}"
 
     def _refuse_matrix_free(self, what: str, works: str) -> None:
         if self.route.startswith("matrix-free"):
             raise BudgetError(
-                f"{what} needs the dense route, limited to K m <= {DENSE_LIMIT}, and K m = "
-                f"{self.n_cells * self.order} with weights that are not symmetric; {works}, or "
-                "make the weights symmetric (graph route)"
+                f"{what} needs the dense route, limited to K m <= {DENSE_LIMIT}, and the route is "
+                f"{self.route}; {works}, or make the weights symmetric (graph route) or all alike "
+                "(modal route, any number of cells)"
             )
 
     # Blocks

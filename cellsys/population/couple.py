@@ -68,6 +68,11 @@ def couple(
             raise ParameterError(f"n_cells must be a whole number >= 1, got {n_cells!r}")
         sizes["n_cells"] = int(n_cells)
     if hasattr(coupling, "assemble_cells"):
+        if set(sizes) - {"n_cells"}:
+            raise ParameterError(
+                f"LoadPorts has its own positions and headings and knows no graph; leave "
+                f"{', '.join(sorted(set(sizes) - {'n_cells'}))} out"
+            )
         return coupling.assemble_cells(
             model, sizes, controller=controller, sensor=sensor, normalise=normalise
         )
@@ -80,8 +85,7 @@ def couple(
     basis_of(model, coupling.name)
     field_rows(model, coupling.rows, coupling.name)
     coupling.extra(model.order)
-    headings = np.zeros(K) if headings is None else headings
-    if headings.shape != (K,) or not np.all(np.isfinite(headings)):
+    if headings is not None and (headings.shape != (K,) or not np.all(np.isfinite(headings))):
         raise DimensionError(f"headings must be {K} finite angles in rad")
     loop = loop_of(model, controller, sensor, normalise)
     return CoupledCells(model, K, coupling, graph, positions, headings, loop)

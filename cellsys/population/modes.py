@@ -59,7 +59,7 @@ class Modes:
 
 
 def modes_of(n_cells: int, graph: InteractionGraph | None) -> Modes | None:
-    """The split of a graph; None where it has none (weights that are not symmetric)."""
+    """The split of a graph; None where it has none (not symmetric, or too large)."""
     weight = 1.0 if graph is None else graph.uniform
     if weight is not None:
         if n_cells == 1:
@@ -69,6 +69,6 @@ def modes_of(n_cells: int, graph: InteractionGraph | None) -> Modes | None:
             np.array([(n_cells - 1) * weight, -weight]),
             np.array([1, n_cells - 1], dtype=np.int64),
         )
-    if not graph.symmetric:
+    if not graph.splits:
         return None
     return Modes(n_cells, graph.omega, np.ones(n_cells, dtype=np.int64), graph)

@@ -135,7 +135,8 @@ def initial(cells: Any, z0: Any, p0: Any) -> tuple[np.ndarray, np.ndarray]:
         z0 = cells.model.z_start if cells.model.z_start is not None else np.zeros(m)
     z = np.array(np.broadcast_to(np.asarray(z0, dtype=float), (K, m)))
     if p0 is None:
-        p0 = np.column_stack([np.cos(cells.headings), np.sin(cells.headings), np.zeros(K)])
+        theta = np.zeros(K) if cells.headings is None else cells.headings
+        p0 = np.column_stack([np.cos(theta), np.sin(theta), np.zeros(K)])
     p = np.array(np.broadcast_to(np.asarray(p0, dtype=float), (K, 3)))
     if not (np.all(np.isfinite(z)) and np.all(np.isfinite(p))):
         raise ParameterError("z0 or p0 holds NaN or inf")

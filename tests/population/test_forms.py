@@ -11,6 +11,7 @@ from cellsys.errors import (
     ParameterError,
     RepresentationError,
 )
+from cellsys.integrate import DOP853
 from cellsys.population import (
     Feedback,
     InteractionGraph,
@@ -335,6 +336,25 @@ def test_refusals_name_the_route_that_works():
         couple(m, 3, "feedback")
     with pytest.raises(DimensionError, match="P_map"):
         couple(m, 3, MappedSuperposition(P_map=np.eye(2)))
+
+
+def test_large_sparse_graphs_are_matrix_free():
+    """Symmetric weights of more cells than an eigenvalue problem can take: no dense matrix."""
+    import scipy.sparse as sp
+
+    K, m = 30_000, model(m=3, slowest=0.1)
+    ring = sp.diags_array([np.full(K - 1, 0.1)] * 2, offsets=[-1, 1], shape=(K, K))
+    cells = couple(m, graph=InteractionGraph(sp.csr_array(ring)), coupling=Feedback())
+    assert cells.route.startswith("matrix-free: too many cells")
+    with pytest.raises(BudgetError, match="modal route"):
+        cells.poles()
+    run = cells.simulate([0.0, 5.0], DOP853(rtol=1e-6, atol=1e-6))
+    # ends apart, every cell has the same two neighbours and the same start
+    inner = run.block("z")[-1][100:-100]
+    assert np.abs(inner - inner[0]).max() < 1e-9
+    rounded = np.ones((4, 4)) - np.eye(4)
+    rounded[0, 1] += 1e-16
+    assert couple(m, graph=rounded).route.startswith(("modal", "graph"))
 
 
 def test_rightmost_poles_of_the_matrix_free_route():

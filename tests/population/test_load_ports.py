@@ -197,19 +197,19 @@ def test_exchanging_two_cells_changes_nothing(dt):
 
 
 def test_far_apart_equals_isolated():
-    matrix, c = field(side=16, foundation=2.0), cell()  # attenuates within a spacing
-    x = np.array([[-39.0, 0.0], [39.0, 0.0]])
+    matrix, c = field(side=12, foundation=2.0), cell()  # attenuates within a spacing
+    x = np.array([[-27.0, 0.0], [27.0, 0.0]])
     t = np.linspace(0, 60, 4)
     z0 = np.random.default_rng(1).standard_normal((2, 5))
     port = PatchPort(radius=5.0)
     pair = couple(c, coupling=LoadPorts(matrix, x, None, port)).simulate(t, z0=z0)
-    near = couple(c, coupling=LoadPorts(matrix, 0.05 * x, None, port)).simulate(t, z0=z0)
+    near = couple(c, coupling=LoadPorts(matrix, 0.07 * x, None, port)).simulate(t, z0=z0)
     for k in range(2):
         alone = couple(c, coupling=LoadPorts(matrix, x[k : k + 1], None, port))
         alone = alone.simulate(t, z0=z0[k]).block("z")[:, 0]
         size = np.abs(alone).max()
-        # 78 um are 13 spacings, each of which divides the displacement by about 4: 1e-8
-        assert np.abs(pair.block("z")[:, k] - alone).max() < 1e-7 * size
+        # 54 um are 9 spacings, each of which divides the displacement by about 4
+        assert np.abs(pair.block("z")[:, k] - alone).max() < 1e-5 * size
         assert np.abs(near.block("z")[:, k] - alone).max() > 1e-3 * size
 
 
@@ -245,10 +245,11 @@ def test_superposed_loads_are_exact_and_superposed_cells_are_not():
 def test_a_hundred_steered_cells_stay_bounded(dt):
     x, theta = places(100, 5)
     cells = couple(cell(m=3, dt=dt, steered=True), coupling=LoadPorts(field(), x, theta, PORT))
-    run = cells.simulate(np.linspace(0, 600, 13), DOP853(rtol=1e-4, atol=1e-4), z0=np.ones(3))
+    t = np.linspace(0, 240, 5)
+    run = cells.simulate(t, DOP853(rtol=1e-3, atol=1e-3), z0=np.ones(3))
     alone = couple(
         cell(m=3, dt=dt, steered=True), coupling=LoadPorts(field(), x[:1], theta[:1], PORT)
-    ).simulate(np.linspace(0, 600, 13), DOP853(rtol=1e-4, atol=1e-4), z0=np.ones(3))
+    ).simulate(t, DOP853(rtol=1e-3, atol=1e-3), z0=np.ones(3))
     assert np.abs(run.block("z")).max() < 5 * np.abs(alone.block("z")).max()
     assert np.abs(np.linalg.norm(run.p, axis=2) - 1).max() < 1e-12
 
@@ -272,6 +273,8 @@ def test_refusals():
     matrix, (x, theta) = field(side=3), places(2, radius=6.0)
     with pytest.raises(DimensionError, match="differ"):
         couple(cell(), 3, LoadPorts(matrix, x, theta, PORT))
+    with pytest.raises(ParameterError, match="leave positions out"):
+        couple(cell(), coupling=LoadPorts(matrix, x, theta, PORT), positions=x)
     with pytest.raises(RepresentationError, match="load port"):
         couple(model(), coupling=LoadPorts(matrix, x, theta, PORT))
     with pytest.raises(ParameterError, match="no matrix node"):
