@@ -25,6 +25,13 @@ from cellsys.reduction.steps import check_roll_out, hold, roll, to_continuous
 from cellsys.system import Layout
 
 
+def _row_indices(name: str, rows: Sequence[int]) -> np.ndarray:
+    found = np.asarray(list(rows))
+    if found.size and (found.ndim != 1 or found.dtype.kind not in "iu"):
+        raise DataError(f"blocks[{name!r}] must list whole row numbers, got {found.dtype}")
+    return found.astype(int)
+
+
 @dataclass(frozen=True, eq=False)
 class LatentModel(Drawable):
     """A reduced model, continuous or the generator of a step.
@@ -114,7 +121,7 @@ class LatentModel(Drawable):
             put("scale", np.ones(rows) if self.scale is None else self.scale)
             put("n_states", rows if self.n_states is None else int(self.n_states))
         shapes = {
-            "B": (self.B.shape, (m, self.B.shape[-1])),
+            "B": (self.B.shape, (m, *self.B.shape[-1:])),
             "offset": (self.offset.shape, (m,)),
         }
         if self.z_start is not None:
@@ -149,7 +156,7 @@ class LatentModel(Drawable):
         if len(names) != self.B.shape[1]:
             raise DimensionError(f"{len(names)} input names for {self.B.shape[1]} inputs")
         put("input_names", tuple(names))
-        put("blocks", {k: np.asarray(list(v), dtype=int) for k, v in dict(self.blocks).items()})
+        put("blocks", {k: _row_indices(k, v) for k, v in dict(self.blocks).items()})
         for name, rows_of in self.blocks.items():
             if V is None or np.any(rows_of < 0) or np.any(rows_of >= len(V)):
                 raise DimensionError(f"block {name!r} names rows that V does not have")
@@ -339,7 +346,7 @@ class LatentModel(Drawable):
         values, sensor = load_model(path)
         try:
             return cls(**values, sensor=None if sensor is None else StiffnessSensor(**sensor))
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
 
     def __str__(self) -> str:

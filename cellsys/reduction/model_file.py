@@ -48,6 +48,12 @@ def load_model(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray] 
     FileNotFoundError, FileFormatError
     """
     arrays, meta = load_archive(path, _KIND, _VERSION)
+    for name, value in arrays.items():
+        if value.dtype.kind not in "biuf":
+            raise FileFormatError(
+                f"{Path(path).name!r} is damaged: array {name!r} holds {value.dtype}, not real "
+                "numbers"
+            )
     try:
         values = {k: arrays[k] for k in ARRAYS if k in arrays} | {
             "dt": meta["dt"],
@@ -55,11 +61,11 @@ def load_model(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray] 
             "blocks": {k[6:]: v for k, v in arrays.items() if k.startswith("block ")},
             "states": layout_from(meta["states"]),
             "auxiliaries": layout_from(meta["auxiliaries"]),
-            "input_names": tuple(meta["input_names"]),
+            "input_names": tuple(n + "" for n in meta["input_names"]),  # TypeError if no text
             "card": card_from(meta["card"]),
-            "notes": meta["notes"],
+            "notes": dict(meta["notes"]),
         }
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
     sensor = {k[7:]: v for k, v in arrays.items() if k.startswith("sensor ")}
     return values, sensor or None

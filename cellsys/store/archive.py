@@ -137,6 +137,8 @@ def _read(source: Path, arrays: bool = True) -> tuple[dict[str, np.ndarray], dic
         raise FileFormatError(f"{source.name!r} is truncated or not a cellsys file: {error}") from (
             error
         )
+    if odd := [name for name, value in names.items() if not isinstance(value, np.ndarray)]:
+        raise FileFormatError(f"{source.name!r} is damaged: entry {odd[0]!r} is no array")
     if isinstance(header, dict) and not isinstance(header.get("metadata"), dict):
         raise FileFormatError(f"{source.name!r} is damaged: its header has no table of metadata")
     if not isinstance(header, dict):

@@ -1,0 +1,42 @@
+"""``python -m tests.hard --minutes N``: random hard instances of every family.
+
+Prints how many were tried, held, were refused with a reason, and failed; exit code 1 when any
+failed, each with its smallest parameters and its seed.
+"""
+
+import argparse
+import os
+import sys
+
+from tests.hard import stress
+
+
+def main() -> int:
+    """Exit code."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    from tests.hard.families import FAMILIES
+
+    parser = argparse.ArgumentParser(prog="python -m tests.hard", description=__doc__)
+    parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--seed", type=int, default=0, help="of the instances drawn")
+    parser.add_argument("--family", choices=sorted(FAMILIES), action="append")
+    parser.add_argument("--cases", action="store_true", help="also a line for every case")
+    given = parser.parse_args()
+    chosen = {k: v for k, v in FAMILIES.items() if given.family is None or k in given.family}
+    counts = stress.run(chosen, 60.0 * given.minutes, given.seed)
+    total = stress.Count()
+    print(f"{'':40s}{'tried':>8s}{'held':>8s}{'refused':>8s}{'failed':>8s}{'s':>8s}")
+    for name, c in counts.items():
+        if name in chosen:
+            total += c
+        elif not given.cases:
+            continue
+        print(f"{name:40s}{c.tried:8d}{c.held:8d}{c.refused:8d}{c.failed:8d}{c.seconds:8.1f}")
+    c = total
+    print(f"tried {c.tried}, held {c.held}, refused {c.refused}, failed {c.failed}")
+    return 1 if c.failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

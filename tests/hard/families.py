@@ -1,0 +1,20 @@
+"""The families of hard cases, by name, for the stress command."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+_FILES = {
+    "Spectra": "test_1_spectra",
+    "Coupling": "test_2_coupling",
+    "Polarity": "test_3_polarity",
+    "Data": "test_4_data",
+    "Roll-out": "test_5_rollout",
+    "Mechanics": "test_6_mechanics",
+    "Switching": "test_7_switching",
+    "Integrators": "test_8_integrators",
+    "Process": "test_9_process",
+}
+import importlib.util as _u
+
+FAMILIES = {name: import_module(f"tests.hard.{file}").CASES for name, file in _FILES.items() if _u.find_spec(f"tests.hard.{file}")}

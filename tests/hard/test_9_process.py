@@ -1,0 +1,543 @@
+"""Process: killed, interrupted, two at once, disk full, damaged and hostile files, odd machines."""
+
+import json
+import locale
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+import zipfile
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellsys.errors import (
+    BudgetError,
+    CellsysError,
+    FileFormatError,
+    ParameterError,
+    SceneError,
+)
+from cellsys.integrate import LinearlyImplicit, simulate
+from cellsys.reduction import LatentModel, snapshots
+from cellsys.scene import Scene, build, load_scene, run_scene, training_scenes
+from cellsys.scene.build import matrix_nodes
+from cellsys.scene.chain import METHOD, ChainScene
+from cellsys.scene.ensemble import read_run
+from cellsys.store import RunReader, RunWriter, discard_partial, load_archive
+from tests import naive
+from tests.hard.damage import (
+    ARRAYS,
+    FULL,
+    META,
+    ODD,
+    SAVER,
+    SMALL_DISK,
+    WRITER,
+    Payload,
+    forged,
+    header,
+    mutated,
+    npy,
+)
+from tests.hard.stress import SEED, Case, Choice, Int, Real, hold
+from tests.loop.systems import make
+from tests.study.scenes import TINY
+
+ROOT = Path(__file__).resolve().parents[2]
+PRESETS = ("crawler", "passive_matrix", "isolated_membrane")
+SHORT = TINY.replace('duration = "40 s"\nsample = "5 s"', 'duration = "12 s"\nsample = "0.5 s"', 1)
+
+
+def text_of(name):
+    """Text of a preset, or the tiny scene of the study's tests."""
+    if name == "tiny":
+        return TINY
+    return (ROOT / "cellsys" / "scene" / "presets" / f"{name}.toml").read_text("utf-8")
+
+
+@contextmanager
+def bounded(gigabytes):
+    """The block must not raise the peak of resident memory by more than this."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    yield
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1e6
+    assert grown < gigabytes, f"peak memory grew by {grown:.2f} GB"
+
+
+@contextmanager
+def nothing_outside(folder):
+    """The block works in `folder` / work, and writes nothing beside it."""
+    (folder / "work").mkdir()
+    (folder / "witness").write_text("as it was")
+    yield folder / "work"
+    assert sorted(p.name for p in folder.iterdir()) == ["witness", "work"]
+    assert (folder / "witness").read_text() == "as it was"
+
+
+# Scene files
+
+
+def a_changed_scene_file_is_read_or_refused(base, seed, changes):
+    """Read, and where it is small also built and stepped twice."""
+    with tempfile.TemporaryDirectory() as name, nothing_outside(Path(name)) as folder:
+        path = folder / "scene.toml"
+        path.write_text(mutated(text_of(base), seed, changes), "utf-8")
+        with bounded(1.0):
+            scene = load_scene(path)
+            assert len(scene.fingerprint()) > 20
+            if isinstance(scene.matrix, ChainScene):
+                if scene.matrix.nodes <= 2000:
+                    simulate(build(scene), METHOD, [0.0, min(0.05, scene.sample)])
+                return
+            training_scenes(scene)
+            if scene.matrix is not None and matrix_nodes(scene.matrix) > 1000:
+                return
+            if len(scene.cells) <= 3:
+                system, h = build(scene), scene.step
+                simulate(system, LinearlyImplicit(step=h), [0.0, h, 2 * h], seed=scene.seed)
+
+
+def built(table):
+    """Everything that a study makes of a scene before it runs it."""
+    scene = Scene.parse(table)
+    return training_scenes(scene), build(scene)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "kind"),
+    [
+        ("matrix.nodes", 10**9, BudgetError),
+        ("matrix.nodes", 10**30, BudgetError),
+        ("sample", "4e-11 s", SceneError),  # 1e12 samples
+        ("duration", "1e12 s", SceneError),
+        ("step", "1e-9 s", SceneError),
+        ("training.runs", 10**9, SceneError),
+        ("training.runs", 10**400, SceneError),
+        ("matrix.diameter", "1e300 um", SceneError),
+        ("matrix.thickness", "1e9 um", SceneError),
+    ],
+)
+def test_more_than_a_machine_holds_is_refused_before_it_is_allocated(place, value, kind):
+    table = tomllib.loads(TINY)
+    inner = table
+    *keys, last = place.split(".")
+    for key in keys:
+        inner = inner[key]
+    inner[last] = value
+    began = time.monotonic()
+    # 50 MB: what parsing and the error itself may take
+    with bounded(0.05), pytest.raises(kind, match=r"GB|more than|must be"):
+        built(table)
+    assert time.monotonic() - began < 5.0
+    if last == "nodes":
+        # numpy says no only where the numbers are absurd; it promises 24 GB without a word
+        assert naive.bytes_promised_without_a_word(10**9) >= 24 * 10**9
+
+
+def test_a_chain_of_a_billion_nodes_is_refused():
+    text = text_of("crawler")
+    table = tomllib.loads(text)
+    table["matrix"]["nodes"] = 10**9
+    with bounded(0.05), pytest.raises(BudgetError, match="GB"):
+        build(Scene.parse(table))
+
+
+# Model files and other archives
+
+
+def model_file(folder, seed=0):
+    """A saved closed-loop model, and the model."""
+    model = make(seed=seed).model
+    return model.save(folder / "m.npz"), model
+
+
+def same_model(a, b):
+    return all(
+        np.array_equal(getattr(a, k), getattr(b, k), equal_nan=True) for k in ("A", "B", "offset")
+    )
+
+
+def a_truncated_model_file_is_refused(share, seed):
+    with tempfile.TemporaryDirectory() as name:
+        path, _ = model_file(Path(name), seed)
+        whole = path.read_bytes()
+        path.write_bytes(whole[: int(share * (len(whole) - 1))])
+        with pytest.raises(FileFormatError, match=r"m\.npz"):
+            LatentModel.load(path)
+
+
+def test_a_model_file_cut_at_every_hundredth_is_refused(tmp_path):
+    path, model = model_file(tmp_path)
+    whole = path.read_bytes()
+    for percent in range(100):
+        path.write_bytes(whole[: percent * len(whole) // 100])
+        with pytest.raises(FileFormatError, match=r"m\.npz"):
+            LatentModel.load(path)
+    # naive: the array's bytes read from where they should be are its numbers, or garbage
+    assert np.array_equal(np.sort(naive.array_by_offset(whole, "A")), np.sort(model.A.ravel()))
+    got = naive.array_by_offset(whole[: len(whole) // 4], "A")
+    assert not np.array_equal(np.sort(got), np.sort(model.A.ravel()))
+
+
+def a_changed_model_file_is_the_model_or_refused(seed, changes):
+    with tempfile.TemporaryDirectory() as name:
+        path, model = model_file(Path(name))
+        rng, data = np.random.default_rng(seed), bytearray(path.read_bytes())
+        for _ in range(changes):
+            data[int(rng.integers(len(data)))] = int(rng.integers(256))
+        path.write_bytes(bytes(data))
+        # The CRC of every entry is checked, so what is read is what was written.
+        assert same_model(LatentModel.load(path), model)
+
+
+def a_forged_model_file_is_a_model_or_refused(seed, changes):
+    """Right container, wrong contents: other types, shapes, names."""
+    rng = np.random.default_rng(seed)
+    meta = dict(META)
+    arrays = {"A": -np.eye(2), "B": np.ones((2, 1)), "V": np.ones((3, 2)), "offset": np.zeros(2)}
+    names = ("A", "B", "offset", "V", "mean", "scale", "singular_values", "z_start", "block field",
+             "sensor K_d", "../A", "block ../../x")  # fmt: skip
+    for _ in range(changes):
+        if rng.random() < 0.4:
+            meta[str(rng.choice(list(META)))] = ODD[int(rng.integers(len(ODD)))]
+        else:
+            arrays[names[int(rng.integers(len(names)))]] = ARRAYS[int(rng.integers(len(ARRAYS)))]
+    with tempfile.TemporaryDirectory() as name, nothing_outside(Path(name)) as folder:
+        path = folder / "m.npz"
+        with zipfile.ZipFile(path, "w") as archive:
+            for key, value in (arrays | {"cellsys": header(meta)}).items():
+                archive.writestr(f"{key}.npy", npy(value))
+        model = LatentModel.load(path)
+        assert np.all(np.isfinite(model.A))
+        assert model.A.shape == (model.order, model.order)
+        model.save(folder / "again.npz")
+        assert same_model(LatentModel.load(folder / "again.npz"), model)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        forged((10**12,)),
+        forged((10**9, 4)),
+        forged((2**62, 2**62)),
+        forged((-5,)),
+        forged((10**9,), "<U1000"),
+        forged((3,), "|V100000000000"),
+        b"\x93NUMPY\x01\x00\xff\xff{",
+        b"",
+    ],
+)
+@pytest.mark.parametrize("reader", ["model", "data"])
+def test_huge_promises_are_refused_without_the_memory(entry, reader, tmp_path):
+    path = tmp_path / "h.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("cellsys.npy", npy(header()))
+        archive.writestr("A.npy" if reader == "model" else "x.npy", entry)
+    with bounded(0.05), pytest.raises(FileFormatError, match=r"h\.npz"):
+        LatentModel.load(path) if reader == "model" else snapshots([path], dt=1.0)
+
+
+def test_an_archive_that_unpacks_to_all_of_memory_is_refused(tmp_path):
+    path = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("cellsys.npy", npy(header()))
+        with archive.open("A.npy", "w", force_zip64=True) as entry:
+            entry.write(forged((120 * 10**6 // 8,)))
+            for _ in range(120):
+                entry.write(bytes(10**6))
+    assert path.stat().st_size < 10**6
+    with bounded(0.05), pytest.raises(FileFormatError, match="unpacks to 120 MB"):
+        LatentModel.load(path)
+    assert naive.unpacked_size(path) > 100 * path.stat().st_size
+
+
+def test_a_header_nested_without_end_is_refused(tmp_path):
+    path = tmp_path / "deep.npz"
+    np.savez(path, cellsys=np.array("[" * 10**5 + "]" * 10**5))
+    with pytest.raises(FileFormatError, match=r"deep\.npz"):
+        LatentModel.load(path)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.json").write_text("[" * 10**5 + "]" * 10**5)
+    with pytest.raises(FileFormatError):
+        RunReader(tmp_path / "run")
+
+
+def test_a_pickle_in_a_file_is_never_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    objects = np.array([Payload()], dtype=object)
+    np.savez("m.npz", A=objects, cellsys=header())
+    for read in (LatentModel.load, lambda p: snapshots([p], dt=1.0)):
+        with pytest.raises(FileFormatError):
+            read("m.npz")
+    assert not Path("pickle was run").exists()
+    naive.load_everything("m.npz")
+    assert Path("pickle was run").exists()
+
+
+# Runs
+
+
+SHAPES = {"x": (40, 3), "eta": (39, 5)}
+
+
+def a_damaged_run_folder_is_read_or_refused(seed, changes):
+    """Bytes, JSON values and files of a finished run changed."""
+    rng = np.random.default_rng(seed)
+    with tempfile.TemporaryDirectory() as name, nothing_outside(Path(name)) as folder:
+        writer = RunWriter(folder / "run", SHAPES, {"scene": {"name": "a"}})
+        writer.arrays["x"][:] = 1.0
+        writer.finish({"statistics": {}, "events": []})
+        files = sorted((folder / "run").iterdir())
+        for _ in range(changes):
+            path = files[int(rng.integers(len(files)))]
+            data = bytearray(path.read_bytes()) or bytearray(b" ")
+            match int(rng.integers(3)):
+                case 0:
+                    data[int(rng.integers(len(data)))] = int(rng.integers(256))
+                case 1:
+                    del data[int(rng.integers(len(data))) :]
+                case 2:
+                    data += bytes(rng.integers(0, 256, 20, dtype=np.uint8))
+            path.write_bytes(bytes(data))
+        reader = RunReader(folder / "run")
+        assert reader.arrays["x"].shape == SHAPES["x"]
+        with pytest.raises(FileFormatError):
+            read_run(folder / "run")  # it is not a run of any scene
+
+
+def test_a_run_that_names_arrays_elsewhere_is_refused(tmp_path):
+    np.save(tmp_path / "secret.npy", np.arange(3.0))
+    writer = RunWriter(tmp_path / "run", SHAPES, {})
+    folder = writer.finish({})
+    text = (folder / "run.json").read_text()
+    table = json.loads(text)
+    for outside in ("../secret", str(tmp_path / "secret")):
+        table["shapes"] = {outside: [3]}
+        (folder / "run.json").write_text(json.dumps(table))
+        with pytest.raises(FileFormatError, match="outside its folder"):
+            RunReader(folder)
+
+
+def scene_of(text):
+    return Scene.parse(tomllib.loads(text))
+
+
+class _Stop(Exception):
+    pass
+
+
+def an_interrupted_run_goes_on_bit_for_bit(at, kinetics, again):
+    """Stopped after a sample, `again` times more, and resumed: the same bits."""
+    scene = scene_of(SHORT.replace('"clutch"', f'"{kinetics}"'))
+    whole = run_scene(scene)
+
+    def stop(share):
+        if share >= at:
+            raise _Stop
+
+    with tempfile.TemporaryDirectory() as name:
+        for _ in range(again):
+            with pytest.raises(_Stop):
+                run_scene(scene, name, progress=stop)
+        resumed = run_scene(scene, name)
+        for key in ("x", "eta", "u", "p", "d", "amplitude", "eta_start"):
+            assert np.array_equal(getattr(resumed, key), getattr(whole, key)), key
+        assert resumed.events == whole.events
+
+
+def python(code, *arguments, **options):
+    """A Python process started in the repository."""
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        cwd=ROOT, text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options,
+    )  # fmt: skip
+
+
+def test_two_processes_do_not_write_one_run(tmp_path):
+    first = python(WRITER, tmp_path / "run")
+    try:
+        assert first.stdout.readline() == "writing\n"
+        with pytest.raises(ParameterError, match="another process"):
+            RunWriter(tmp_path / "run", SHAPES, {})
+        with pytest.raises(ParameterError, match="another process"):
+            discard_partial(tmp_path / "run.partial")
+        assert (tmp_path / "run.partial" / "x.npy").exists()
+        RunWriter(tmp_path / "other", SHAPES, {}).finish({})
+        # naive: a lock that is a file keeps the run locked after its writer was killed
+        assert naive.locked_by_a_file(tmp_path / "run.partial" / "lock")
+    finally:
+        first.kill()
+        first.communicate()
+    assert naive.locked_by_a_file(tmp_path / "run.partial" / "lock")
+    RunWriter(tmp_path / "run", SHAPES, {}).finish({})
+    assert RunReader(tmp_path / "run").arrays["x"].shape == (40, 3)
+
+
+def test_killed_while_it_saves_the_file_is_old_or_new(tmp_path):
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        saver = python(SAVER, tmp_path / "m.npz")
+        assert saver.stdout.readline() == "saving\n"
+        while not (tmp_path / "m.npz").exists():
+            time.sleep(0.01)
+        time.sleep(float(rng.uniform(0.0, 0.1)))
+        saver.send_signal(signal.SIGKILL)
+        saver.communicate()
+        arrays, meta = load_archive(tmp_path / "m.npz", "m", 1)
+        assert np.all(arrays["A"] == meta["k"])
+    # naive: written in place and stopped half-way, neither the old nor the new is there
+    old = (tmp_path / "m.npz").read_bytes()
+    naive.write_in_place(tmp_path / "m.npz", old, stop=len(old) // 2)
+    with pytest.raises(FileFormatError):
+        load_archive(tmp_path / "m.npz", "m", 1)
+
+
+def test_a_file_that_cannot_grow_leaves_the_old_one(tmp_path):
+    """A limit on file size stands for a full disk: writes fail in the middle."""
+    out, err = python(SMALL_DISK, tmp_path).communicate(timeout=60)
+    assert out.split() == ["OSError", "OSError", "10"], err
+    assert [p.name for p in tmp_path.iterdir()] == ["m.npz"]
+
+
+def full_disk(folder):
+    """A file system of 2 MB at `folder`; skips where none can be mounted."""
+    folder.mkdir()
+    done = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=2m", "none", str(folder)],
+        capture_output=True, check=False,
+    )  # fmt: skip
+    if done.returncode:
+        pytest.skip("no file system can be mounted here")
+
+
+def test_a_full_disk_is_an_error_not_a_dead_process(tmp_path):
+    """A sparse file that is mapped into memory kills its writer when the blocks run out."""
+    disk = tmp_path / "disk"
+    full_disk(disk)
+    try:
+        out, err = python(FULL, disk, "ours").communicate(timeout=60)
+        assert out.split() == ["BudgetError"], err
+        assert list(disk.iterdir()) == []
+        dead = python(FULL, disk, "naive")
+        dead.communicate(timeout=60)
+        assert dead.returncode == -signal.SIGBUS
+    finally:
+        subprocess.run(["umount", str(disk)], check=False)
+
+
+# Machines
+
+
+ODD_MACHINE = {
+    "LC_ALL": "C", "LANG": "C", "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0",
+    "HOME": "/nonexistent", "NO_COLOR": "1", "COLUMNS": "80",
+}  # fmt: skip
+
+
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["poles"],
+        pytest.param(["stability"], marks=SLOW),
+        pytest.param(["couple", "--cells", "3"], marks=SLOW),
+    ],
+)
+def test_ascii_only_no_display_no_home(arguments, tmp_path):
+    path, _ = model_file(tmp_path)
+    kept = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "MPLBACKEND", "PYTHONPATH")}
+    done = subprocess.run(
+        [sys.executable, "-m", "cellsys", arguments[0], str(path), *arguments[1:]],
+        cwd=ROOT, capture_output=True, check=False, timeout=120, env=kept | ODD_MACHINE,
+    )  # fmt: skip
+    # a model without rows of V cannot be coupled: one line, exit code 2
+    assert done.returncode == (2 if arguments[0] == "couple" else 0), done.stderr.decode()
+    assert b"Traceback" not in done.stderr
+
+
+@pytest.mark.slow
+def test_the_main_job_on_an_odd_machine(tmp_path):
+    """A study as a user without rights, home, display or any language but C."""
+    (tmp_path / "s.toml").write_text(TINY)
+    kept = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "MPLBACKEND")}
+    done = subprocess.run(
+        [sys.executable, "-m", "cellsys", "run", str(tmp_path / "s.toml"), "-o",
+         str(tmp_path / "out"), "--order", "3"],
+        cwd=ROOT, capture_output=True, check=False, timeout=300, env=kept | ODD_MACHINE,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr.decode()[-2000:]
+    assert (tmp_path / "out" / "report.html").exists()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "s.toml"]
+
+
+def decimal_commas_change_nothing(seed):
+    """With a locale whose decimal mark is a comma, numbers are read and written as before."""
+    before = locale.setlocale(locale.LC_NUMERIC)
+    for name in ("de_DE.UTF-8", "de_DE.utf8", "fr_FR.UTF-8", before):
+        try:
+            locale.setlocale(locale.LC_NUMERIC, name)
+            break
+        except locale.Error:
+            continue
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            path, model = model_file(Path(folder), seed)
+            assert same_model(LatentModel.load(path), model)
+        scene = scene_of(TINY)
+        assert scene.effects["lamellipodium"].force == 600.0
+        assert scene.fingerprint() == scene_of(TINY).fingerprint()
+    finally:
+        locale.setlocale(locale.LC_NUMERIC, before)
+
+
+def test_decimal_commas():
+    decimal_commas_change_nothing(0)
+    assert naive.float_of_locale("0,5") == 0.5
+    with pytest.raises(CellsysError):
+        Scene.parse({"name": "a", "duration": "0,5 s"})
+
+
+CASES = (
+    Case(
+        "scene file changed",
+        a_changed_scene_file_is_read_or_refused,
+        {"base": Choice("tiny", *PRESETS), "changes": Int(1, 6), "seed": SEED},
+    ),
+    Case("model file cut", a_truncated_model_file_is_refused, {"share": Real(0, 1), "seed": SEED}),
+    Case(
+        "model file changed",
+        a_changed_model_file_is_the_model_or_refused,
+        {"changes": Int(1, 30), "seed": SEED},
+    ),
+    Case(
+        "model file forged",
+        a_forged_model_file_is_a_model_or_refused,
+        {"changes": Int(1, 5), "seed": SEED},
+    ),
+    Case(
+        "run folder damaged",
+        a_damaged_run_folder_is_read_or_refused,
+        {"changes": Int(1, 4), "seed": SEED},
+    ),
+    Case(
+        "run interrupted",
+        an_interrupted_run_goes_on_bit_for_bit,
+        {"at": Real(0.05, 0.99), "kinetics": Choice("clutch", "switching"), "again": Int(1, 3)},
+    ),
+    Case("decimal comma", decimal_commas_change_nothing, {"seed": SEED}),
+)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
+def test_random_instances(case):
+    hold(case, 3)
