@@ -12,6 +12,7 @@ from cellsys.loop import PolarityLaw
 from cellsys.population import Feedback, LoadPorts, Superposition, couple
 from cellsys.population.polar import frozen_port, polar_gather
 from cellsys.reduction import StiffnessSensor
+from cellsys.reduction.equivariant.charges import command_features
 from cellsys.reduction.equivariant.dynamics import CellDynamics, ChargeBlock, ReadOut
 from cellsys.reduction.equivariant.model import EquivariantModel
 from cellsys.reduction.equivariant.on_field import CellsOnField
@@ -23,6 +24,7 @@ from tests.study.scenes import TINY
 
 ORDERS = (3, 4, 2, 1, 1, 1)  # latent states of charges 0 to 5
 STATES = ORDERS[0] + 2 * sum(ORDERS[1:])
+INPUTS = command_features(np.ones(1), np.zeros(1), 0).shape[-1]
 PORT = PolarPort(reach=8.0, spacing=4.0, orders=4)
 
 
@@ -44,12 +46,12 @@ def model(gamma=0.02, seed=0, norm=0.98, sensor=True, field=None, vertices=2):
     for q, m in enumerate(ORDERS):
         A = rng.standard_normal((vertices, m, m))
         A = norm * A / np.linalg.norm(A, 2, axis=(1, 2))[:, None, None]
-        B = 0.2 * rng.standard_normal((vertices, m, 2))
+        B = 0.2 * rng.standard_normal((vertices, m, INPUTS))
         C = 5.0 * rng.standard_normal((sizes[q], m))
         blocks.append(ChargeBlock(A, B, gamma, C, 1.0 + rng.uniform(size=m)))
     zero = ReadOut(
         0.05 * rng.standard_normal((vertices, ORDERS[1])),
-        0.02 * rng.standard_normal((vertices, 2)),
+        0.02 * rng.standard_normal((vertices, INPUTS)),
         np.zeros(PORT.n_hats),
     )
     dynamics = CellDynamics(tuple(blocks), Clock(250.0, vertices), 10.0, zero, zero)
