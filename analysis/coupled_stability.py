@@ -122,6 +122,43 @@ def closed_loops(model: cs.LatentModel, latent: np.ndarray, numbers, duration: f
         )
 
 
+def lattice(side: int) -> cs.LinearField:
+    """Square lattice of springs on a foundation, 6 um apart."""
+    axis = 6.0 * (np.arange(side) - 0.5 * (side - 1))
+    nodes = np.array([(x, y, 0.0) for x in axis for y in axis])
+    near = np.linalg.norm(nodes[:, None] - nodes[None], axis=2) < 6.5
+    springs = 0.2 * (np.diag(near.sum(axis=1)) - near)
+    return cs.LinearField(nodes, np.kron(springs + 0.005 * np.eye(len(nodes)), np.eye(3)), 1.0)
+
+
+def load_ports(numbers) -> None:
+    """A collocated port against a freely fitted one of the same size, on one spring lattice."""
+    rng = np.random.default_rng(7)
+    m, field = 5, lattice(6)
+    turn, push = rng.standard_normal((2, m, m))
+    A = 0.2 * (turn - turn.T) - 0.02 * push @ push.T - 0.05 * np.eye(m)
+    F = rng.standard_normal((2, m))
+    passive = cs.CellPort.collocated(A, F, gamma=0.3)
+    free = rng.standard_normal((m, 2))
+    free *= np.linalg.norm(passive.C) / np.linalg.norm(free)
+    fitted = cs.CellPort(A, F, free)
+    print(f"LoadPorts, collocated: {passive.passivity()}")
+    print(f"LoadPorts, freely fitted: {fitted.passivity()}")
+    for K in numbers:
+        places = rng.uniform(-9.0, 9.0, (K, 2))
+        safe = cs.couple(passive, coupling=cs.LoadPorts(field, places))
+        loose = cs.couple(fitted, coupling=cs.LoadPorts(field, places, allow_active=True))
+        print(
+            f"  K = {K}: collocated {safe.pole_set().abscissa:.4g} 1/s "
+            f"({safe.stability().verdict}), freely fitted {loose.pole_set().abscissa:.4g} 1/s "
+            f"({loose.stability().verdict})"
+        )
+    try:
+        cs.couple(fitted, coupling=cs.LoadPorts(field, places))
+    except cs.ParameterError as error:
+        print(f"  refused: {error}")
+
+
 def main(quick: bool = False, runs: str | None = None, out: str | None = None) -> None:
     folder = None if out is None else Path(out)
     if folder is not None:
@@ -141,6 +178,7 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
     theorem(model)
     numbers = (1, 2, 10, 100)
     against_K(model, fitted.matrix, numbers, folder)
+    load_ports(numbers[:3] if quick else numbers)
     closed_loops(model, latent, numbers, 60.0 if quick else 1500.0)
 
 
