@@ -88,7 +88,8 @@ class Comparison(Drawable):
         ]
         for r in self.rows:
             error = "diverges" if r.diverges else f"{r.error:.3g}"
-            note = f"   grows like exp({r.abscissa:.2g} t)" if r.diverges else ""
+            lost = r.abscissa > 0 and not r.error < 1.0
+            note = f"   grows like exp({r.abscissa:.2g} t)" if lost else ""
             lines.append(
                 f"{r.method:>{width}s} {r.order:4d} {error:>9s} {r.floor:7.3g} "
                 f"{r.abscissa:13.2e} {r.radius:8.5f} {r.fit_s:7.2f} {r.roll_out_ms:12.2f}{note}"

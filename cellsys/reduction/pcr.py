@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -47,7 +46,6 @@ class PCR:
         Relative singular value below which a regressor direction is dropped, and reported.
     """
 
-    name: ClassVar[str] = "PCR"
     difference: str = "forward"
     literal: bool = False
     svd: ExactSVD | RandomisedSVD | None = None
@@ -58,6 +56,11 @@ class PCR:
             raise ParameterError(
                 f"PCR.difference must be 'forward' or 'backward', got {self.difference!r}"
             )
+
+    @property
+    def name(self) -> str:
+        """Name in tables and cards."""
+        return "PCR (literal)" if self.literal else "PCR"
 
     @property
     def own_basis(self) -> bool:

@@ -71,7 +71,7 @@ def test_it_draws_itself():
     table = cs.compare_reductors(train, test, [2, 5], [LeastSquares(), Ridge(), PCR(literal=True)])
     ax = table.plot()
     names = [t.get_text() for t in ax.get_legend().get_texts()]
-    assert names[:3] == ["LeastSquares", "Ridge", "PCR"]
+    assert names[:3] == ["LeastSquares", "Ridge", "PCR (literal)"]
     assert "projection floor" in names
     mpl.pyplot.close("all")
 

@@ -111,6 +111,7 @@ def test_literal_form_is_equation_24_written_out(scale):
     assert np.all(model.mean == 0.0)
     assert np.all(model.offset == 0.0)
     assert np.all(model.scale == 1.0)
+    assert (PCR(literal=True).name, PCR().name) == ("PCR (literal)", "PCR")
     assert (
         np.abs(np.sort(model.poles().real) - np.sort(PCR().fit(data, 4).poles().real)).max() > 0.1
     )
