@@ -6,6 +6,7 @@ from cellsys.scene.ensemble import run_ensemble, run_scene
 from cellsys.scene.inherit import preset_names
 from cellsys.scene.parse import load_scene, scene_schema
 from cellsys.scene.scene import CellScene, MatrixScene, Scene, Training
+from cellsys.scene.timing import StepCost, step_cost
 from cellsys.scene.training import training_scenes, turning_scenes
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     "ChainScene",
     "MatrixScene",
     "Scene",
+    "StepCost",
     "Training",
     "build",
     "load_scene",
@@ -20,6 +22,7 @@ __all__ = [
     "run_ensemble",
     "run_scene",
     "scene_schema",
+    "step_cost",
     "training_scenes",
     "turning_scenes",
 ]
