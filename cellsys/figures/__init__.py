@@ -16,6 +16,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
             "crawler_run",
             "error_against_amplitude",
         ],
+        "equivariant": ["equivariant_model", "forecast"],
         "loop": ["headings", "linearisation"],
         "norms": ["system_norm"],
         "population": [

@@ -28,25 +28,29 @@ def command_features(
     return np.concatenate(features, axis=1), tuple(names)
 
 
-def harmonic(name: str) -> tuple[str, int, bool] | None:
-    """("cos" | "sin" | "amplitude", q, weighted by the amplitude) of a feature name, or None.
+def harmonic(name: str) -> tuple[str, int, int] | None:
+    """("cos" | "sin" | "amplitude", q, power of the amplitude) of a feature name, or None.
 
-    ``cell1.cos3`` is a cos 3 theta, ``cell1.unit_cos3`` is cos 3 theta.
+    ``cell1.cos3`` is a cos 3 theta, ``cell1.unit_cos3`` cos 3 theta, ``cell1.squared_cos3``
+    a^2 cos 3 theta; ``cell1.amplitude`` is a, ``cell1.amplitude_squared`` a^2.
     """
-    found = re.fullmatch(r"(?:.*\.)?(?:(amplitude)|(unit_)?(cos|sin)([1-9]\d*)?)", name)
+    found = re.fullmatch(
+        r"(?:.*\.)?(?:amplitude(_squared)?|(unit_|squared_)?(cos|sin)([1-9]\d*)?)", name
+    )
     if found is None:
         return None
-    amplitude, unit, kind, order = found.groups()
-    return ("amplitude", 0, True) if amplitude else (kind, int(order or 1), unit is None)
+    squared, weight, kind, order = found.groups()
+    if kind is None:
+        return "amplitude", 0, 2 if squared else 1
+    return kind, int(order or 1), {"unit_": 0, None: 1, "squared_": 2}[weight]
 
 
 def harmonic_value(name: str, amplitude: Any, theta: Any) -> Any:
     """Value of a feature for an amplitude and a heading theta, rad (arrays alike)."""
-    kind, q, weighted = harmonic(name)
+    kind, q, power = harmonic(name)
     if kind == "amplitude":
-        return amplitude
-    value = np.cos(q * theta) if kind == "cos" else np.sin(q * theta)
-    return amplitude * value if weighted else value
+        return amplitude**power
+    return amplitude**power * (np.cos(q * theta) if kind == "cos" else np.sin(q * theta))
 
 
 def named_command(table: np.ndarray, known: tuple[str, ...], name: str) -> np.ndarray:

@@ -15,6 +15,7 @@ from cellsys.figures import (
     cell_from_above,
     cell_from_side,
     displacement_field,
+    equivariant_model,
     error_against_time,
     headings,
     order_sweep,
@@ -75,8 +76,15 @@ def write_figures(result: Any, system: SpreadingSystem, folder: Path) -> dict[st
         figure.suptitle("Return ratio of the polarity loop, cut at kappa")
         drawn["bode"] = save_png(figure, folder / "bode.png")
         figure, ax = sheet((8, 4.2))
-        headings({"full order": run, f"reduced, m = {small.order}": result.reduced}, ax)
+        shown = {"full order": run, f"reduced, m = {small.order}": result.reduced}
+        if result.equivariant.run is not None:
+            shown["equivariant"] = result.equivariant.run
+        headings(shown, ax)
         drawn["polarity"] = save_png(figure, folder / "polarity.png")
+    if result.equivariant.model is not None:
+        figure, ax = sheet((7.5, 4.6))
+        equivariant_model(result.equivariant.model, ax)
+        drawn["charges"] = save_png(figure, folder / "charges.png")
     return drawn
 
 
@@ -139,6 +147,8 @@ def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
         ),
         "<h2>The polarity loop</h2>",
         *_loop_part(result, figures, verdict),
+        "<h2>The cell by its symmetry</h2>",
+        *_equivariant_part(result, figures),
         "<h2>What accuracy costs in time</h2>",
         _image(figures["error_against_order"], "error against order and against time"),
         _table(
@@ -188,4 +198,33 @@ def _loop_part(result: Any, figures: dict[str, Path], verdict: str) -> list[str]
         f"<p class='note'>Heading error of the reduced loop: {error['rms']:.3g} deg rms, "
         f"{error['end']:.3g} deg at the end. Sensor: {_g(sensor['held_out'])} deg held out, "
         f"{_g(sensor['constant_direction'])} deg for the best constant direction.</p>",
+    ]
+
+
+def _equivariant_part(result: Any, figures: dict[str, Path]) -> list[str]:
+    study = result.equivariant
+    if study.model is None:
+        return [f"<p>No equivariant model: {html.escape(str(study.why_not))}.</p>"]
+    loop = study.table["loop"]
+    heading = ""
+    if study.heading_error:
+        heading = (
+            f"Its polarity loop stays {study.heading_error['rms']:.3g} deg rms from the full-order "
+            "loop's heading. "
+        )
+    if loop.get("margins"):
+        m = loop["margins"]
+        heading += (
+            f"Margins of that loop at its end: gain {_g(m['gain_margin_on_kappa'])} on kappa, phase "
+            f"{_g(m['phase_margin_deg'])} deg, delay {_g(m['delay_margin_s'])} s."
+        )
+    elif loop.get("why_no_margins"):
+        heading += f"No margins: {html.escape(loop['why_no_margins'])}."
+    return [
+        f"<p>{html.escape(study.model.card.verdict)}</p>",
+        _image(figures["charges"], "poles by charge"),
+        "<p class='note'>Poles frozen at the end of the training runs. Charge 0 is spreading and "
+        "contraction, 1 translation and polarity, 2 elongation. Every pole of a charge above 0 "
+        f"occurs twice in the real plant. {heading}</p>",
+        f"<pre>{html.escape(str(study.model.card))}</pre>",
     ]

@@ -30,6 +30,7 @@ from cellsys.response import Margins, margins, stability
 from cellsys.scene import ChainScene, Scene, build, load_scene, run_ensemble, training_scenes
 from cellsys.store import discard_partial, write_json
 from cellsys.study.coordinates import learn_coordinates
+from cellsys.study.equivariant import EquivariantStudy, study_equivariant
 from cellsys.study.measure import OrderSweep, sweep_orders
 from cellsys.trajectory import Trajectory
 
@@ -58,6 +59,8 @@ class StudyResult:
     summary : mapping
         What ``summary.json`` holds.
     out : Path
+    equivariant : EquivariantStudy
+        The equivariant model and its loop, or why there is none.
     """
 
     scene: Scene
@@ -73,6 +76,7 @@ class StudyResult:
     magnitudes: Mapping[str, float]
     summary: Mapping[str, Any]
     out: Path
+    equivariant: EquivariantStudy
 
     def __str__(self) -> str:
         return str(self.summary["trust"])
@@ -98,6 +102,7 @@ class StudyResult:
             ]
         lines += ["", str(self.sweep)]
         lines.append(f"  full-order model: {self.sweep.full_order_s:.3g} s for the same run")
+        lines += ["", *self.equivariant.lines()]
         return "\n".join([*lines, "", str(self)])
 
 
@@ -112,8 +117,8 @@ def study(
 ) -> StudyResult | CrawlerStudy:
     """From a scene to poles, margins, a closed-loop run and a report.
 
-    Writes into `out`: ``run.npz``, ``model.npz`` (PCR), ``summary.json``, ``figures/*.png``,
-    ``report.html`` and the run cache ``runs/``.
+    Writes into `out`: ``run.npz``, ``model.npz`` (PCR), ``model_equivariant.npz`` (when there is
+    one), ``summary.json``, ``figures/*.png``, ``report.html`` and the run cache ``runs/``.
 
     Parameters
     ----------
@@ -179,10 +184,16 @@ def study(
     loop, reduced, linear, loop_margins, why = _loop(scene, model, main)
     say("loop", 1.0)
 
+    say("equivariant", 0.0)
+    charges = study_equivariant(scene, data, test, main)
+    say("equivariant", 1.0)
+
     system = build(scene)
     magnitudes = summary_of_run(main, system.matrix.position)
     plant_report = stability(plant_of(model))
     trust = f"What this model can be trusted for: {model.card.verdict}"
+    if charges.model is not None:
+        trust += f" The equivariant model: {charges.model.card.verdict}"
     summary = {
         "scene": scene.name,
         "fingerprint": scene.fingerprint(),
@@ -199,6 +210,7 @@ def study(
         "orders": [dataclasses.asdict(row) for row in sweep.rows],
         "full_order_s": full_s,
         "why_lower_order": why_lower,
+        "equivariant": charges.table,
         "trust": trust,
     }
     result = StudyResult(
@@ -215,6 +227,7 @@ def study(
         magnitudes,
         summary,
         folder,
+        charges,
     )
     _write(result, system, data, say)
     say("report", 1.0)
@@ -337,6 +350,8 @@ def _write(result: StudyResult, system: Any, data: Snapshots, say: Progress) -> 
 
     run, out = result.run, result.out
     result.model.save(out / "model.npz")
+    if result.equivariant.model is not None:
+        result.equivariant.model.save(out / "model_equivariant.npz")
     arrays = {"t": run.t, "x": np.asarray(run.x)}
     arrays |= {k: np.asarray(getattr(run, k)) for k in ("p", "d") if getattr(run, k) is not None}
     save_archive(

@@ -52,10 +52,12 @@ def done(tmp_path_factory):
 def test_what_is_written(done):
     result, out, _ = done
     assert sorted(p.name for p in out.iterdir()) == [
-        "figures", "model.npz", "report.html", "run.npz", "runs", "summary.json",
+        "figures", "model.npz", "model_equivariant.npz", "report.html", "run.npz", "runs",
+        "summary.json",
     ]  # fmt: skip
     assert {p.name for p in (out / "figures").iterdir()} == {
-        "bode.png", "cell_and_matrix.png", "displacement_field.png", "error_against_order.png",
+        "bode.png", "cell_and_matrix.png", "charges.png", "displacement_field.png",
+        "error_against_order.png",
         "polarity.png", "pole_map.png",
     }  # fmt: skip
     for picture in (out / "figures").iterdir():
@@ -64,6 +66,9 @@ def test_what_is_written(done):
     model = cs.LatentModel.load(out / "model.npz")
     assert np.array_equal(model.A, result.model.A)
     assert model.card == result.model.card
+    cell = cs.LatentModel.load(out / "model_equivariant.npz")
+    assert cell.dynamics.norm() <= 1.0 + 1e-12
+    assert cell.card.verdict in (out / "report.html").read_text("utf-8")
     arrays, meta = load_archive(out / "run.npz", "run", 1)
     assert np.array_equal(arrays["x"], result.run.x)
     assert np.array_equal(arrays["p"], result.run.p)

@@ -1,10 +1,10 @@
 """One cell as charges: scheduled contractive blocks, load read-out, centroid, passive port.
 
-    x_q+ = A_q(t) x_q + B_q(t) [1; a - 1] e^{i q theta} - gamma_q (I + A_q)/2 C_q^T y_q
+    x_q+ = A_q(t) x_q + B_q(t) r(a) e^{i q theta} - gamma_q (I + A_q)/2 C_q^T y_q
     f_q  = C_q (x_q + x_q+)/2                    load density on the matrix
-    c+   = c + R_z(t) (z_1 + z_1+)/2 + R_u(t) [1; a - 1] e^{i theta} + R_y y_W0
+    c+   = c + R_z(t) (z_1 + z_1+)/2 + R_u(t) r(a) e^{i theta} + R_y y_W0
 
-x_q is whitened, z_q = spread_q x_q; ||A_q||_2 <= 1 at every vertex, so that
+r(a) = [1; a - 1; (a - 1)^2]; x_q is whitened, z_q = spread_q x_q; ||A_q||_2 <= 1 at every vertex, so that
 
     |x+|^2 - |x|^2 <= -2 gamma f.y          (u = 0; exact for every schedule)    [theory.md 4b]
 """
@@ -20,6 +20,16 @@ from cellsys.reduction.equivariant.charges import command_features
 from cellsys.reduction.equivariant.schedule import Clock
 
 
+# r(a) = [1; a - 1; (a - 1)^2] = _POWERS [1; a; a^2]
+_POWERS = np.array([[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [1.0, -2.0, 1.0]])
+
+
+def _columns(q: int, part: int) -> list[int]:
+    """Inputs of the real (0) or imaginary (1) part of charge q: plain, times a, times a^2."""
+    first = 2 + 6 * (q - 1) + part
+    return [first, first + 2, first + 4]
+
+
 @dataclass(frozen=True, eq=False)
 class ChargeBlock:
     """One charge.
@@ -28,7 +38,7 @@ class ChargeBlock:
     ----------
     A : (H, m, m)
         Whitened step matrices at the vertices.
-    B : (H, m, 2)
+    B : (H, m, 3)
     gamma : float
         Gain of the port, 1/(pN um/s) in whitened units; 0 is a cascade.
     C : (n_load, m)
@@ -65,7 +75,7 @@ class ReadOut:
 
     Parameters
     ----------
-    R_z : (H, m_1), R_u : (H, 2)
+    R_z : (H, m_1), R_u : (H, 3)
     R_y : (n_hats,)
         Weights of the matrix velocity under the cell, zero where it is not used.
     """
@@ -107,7 +117,7 @@ class CellDynamics:
     riding: ReadOut
 
     def features(self, amplitude: np.ndarray, heading: np.ndarray) -> list[np.ndarray]:
-        """[1, a - 1] e^{i q theta} of every charge, (..., 2)."""
+        """r(a) e^{i q theta} of every charge, (..., 3)."""
         return [command_features(amplitude, heading, q) for q in range(len(self.blocks))]
 
     def advance(
@@ -144,42 +154,39 @@ class CellDynamics:
         """Real step matrices at the frozen time t: states, harmonics, offset.
 
         States: z_0, then Re and Im of each further charge (unwhitened), then the centroid.
-        Inputs: amplitude, then for q = 1 .. top: cos, sin of q theta, then a times both.
+        Inputs: see `harmonic_names`: a and a^2, then for q = 1 .. top cos and sin of q theta
+        plain, times a, and times a^2.
         """
         w = self.clock.weights(t)
         sizes = [b.size for b in self.blocks]
         top = len(sizes) - 1
         m = sizes[0] + 2 * sum(sizes[1:])
-        A, B = np.zeros((m + 2, m + 2)), np.zeros((m + 2, 1 + 4 * top))
+        A, B = np.zeros((m + 2, m + 2)), np.zeros((m + 2, 2 + 6 * top))
         offset, starts = np.zeros(m + 2), self.starts()
         for q, block in enumerate(self.blocks):
             Aw, Bw = block.at(w)
             Az = block.spread[:, None] * Aw / block.spread
-            Bz = block.spread[:, None] * Bw
-            # [1; a - 1] = (1 - a) e + a e: unweighted and amplitude-weighted harmonics
-            plain, weighted = Bz[:, 0] - Bz[:, 1], Bz[:, 1]
+            by_power = (block.spread[:, None] * Bw) @ _POWERS
             i = starts[q]
             if q == 0:
-                A[i : i + block.size, i : i + block.size] = Az
-                offset[i : i + block.size] = plain
-                B[i : i + block.size, 0] = weighted
+                rows = slice(i, i + block.size)
+                A[rows, rows] = Az
+                offset[rows] = by_power[:, 0]
+                B[rows, :2] = by_power[:, 1:]
                 continue
             for part in range(2):  # real part follows cos, imaginary part sin
                 rows = slice(i + part * block.size, i + (part + 1) * block.size)
                 A[rows, rows] = Az
-                column = 1 + 4 * (q - 1) + part
-                B[rows, column], B[rows, column + 2] = plain, weighted
+                B[rows, _columns(q, part)] = by_power
         A[m:, m:] = np.eye(2)
-        R_z, R_u = w @ self.alone.R_z, w @ self.alone.R_u
+        R_z, R_u = w @ self.alone.R_z, (w @ self.alone.R_u) @ _POWERS
         for part in range(2):
             i = starts[1] + part * sizes[1]
             rows = slice(i, i + sizes[1])
             A[m + part] += 0.5 * (R_z @ A[rows])
             A[m + part, rows] += 0.5 * R_z
             B[m + part] += 0.5 * (R_z @ B[rows])
-            column = 1 + part
-            B[m + part, column] += R_u[0] - R_u[1]
-            B[m + part, column + 2] += R_u[1]
+            B[m + part, _columns(1, part)] += R_u
         return A, B, offset
 
     def starts(self) -> list[int]:

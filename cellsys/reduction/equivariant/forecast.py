@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+from cellsys.drawable import Drawable
 from cellsys.errors import DataError, ParameterError
 from cellsys.reduction.equivariant.dynamics import CellDynamics
 from cellsys.reduction.equivariant.records import CellRecord
@@ -221,7 +222,7 @@ def _sizes(model: Any, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @dataclass(frozen=True, eq=False)
-class Forecast:
+class Forecast(Drawable):
     """A roll-out with its bands and flags.
 
     Parameters
@@ -243,6 +244,8 @@ class Forecast:
     half_width: np.ndarray
     level: float
     flags: tuple[Flag, ...]
+
+    _figure: ClassVar[str] = "forecast"
 
     def __str__(self) -> str:
         lines = [

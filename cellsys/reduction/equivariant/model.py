@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 import scipy.linalg as sla
@@ -34,12 +34,12 @@ class Pole:
 
 
 def harmonic_names(cell: str) -> tuple[str, ...]:
-    """Inputs of the frozen plant: amplitude, then (cos, sin) of q theta without and with a."""
-    names = [f"{cell}.amplitude"]
+    """Inputs of the frozen plant: a, a^2, then (cos, sin) of q theta plain, times a, times a^2."""
+    names = [f"{cell}.amplitude", f"{cell}.amplitude_squared"]
     for q in range(1, TOP + 1):
         suffix = "" if q == 1 else str(q)
-        names += [f"{cell}.unit_cos{suffix}", f"{cell}.unit_sin{suffix}"]
-        names += [f"{cell}.cos{suffix}", f"{cell}.sin{suffix}"]
+        for weight in ("unit_", "", "squared_"):
+            names += [f"{cell}.{weight}cos{suffix}", f"{cell}.{weight}sin{suffix}"]
     return tuple(names)
 
 
@@ -69,6 +69,8 @@ class EquivariantModel(LatentModel):
     monitor : ValidityMonitor, optional
         Trained ranges that `forecast` checks.
     """
+
+    _figure: ClassVar[str] = "equivariant_model"
 
     def __init__(
         self,

@@ -12,7 +12,7 @@ import scipy.linalg as sla
 
 from cellsys.errors import DataError, ParameterError
 from cellsys.reduction.equivariant.certificate import card_of, sensor_of
-from cellsys.reduction.equivariant.charges import command_features
+from cellsys.reduction.equivariant.charges import N_FEATURES, command_features
 from cellsys.reduction.equivariant.dynamics import CellDynamics, ChargeBlock, ReadOut
 from cellsys.reduction.equivariant.forecast import ValidityMonitor, conformal_bands, residuals
 from cellsys.reduction.equivariant.model import EquivariantModel
@@ -247,7 +247,7 @@ class Equivariant:
         bound = None if self.margin is None else 1.0 - self.margin
         if not len(spread):
             H = self.clock.vertices
-            empty = ChargeParameters(np.zeros((H, 0, 0)), np.zeros((H, 0, 2)))
+            empty = ChargeParameters(np.zeros((H, 0, 0)), np.zeros((H, 0, N_FEATURES)))
             return ChargeBlock(empty.A, empty.B, 0.0, C, spread), (empty, rows), []
         start = one_step(rows, self.ridge, np.inf if bound is None else bound)
         best, losses = train(start, rows, iterations=self.iterations, rate=self.rate, bound=bound)
@@ -264,6 +264,7 @@ class Equivariant:
         """Centroid read-outs, fitted to whole paths of the simulated charge 1."""
         K, H = len(rows.u), rows.w.shape[1]
         m, hats = rows.x.shape[2], self.port.n_hats
+        n = m + N_FEATURES
         spread = np.sqrt(rows.weight)
         alone = roll_out(ChargeParameters(p.A, p.B, 0.0), rows)
         riding = roll_out(p, rows)
@@ -285,8 +286,8 @@ class Equivariant:
                 table = np.concatenate([table, velocity], axis=2)
             X = np.cumsum(table, axis=0)[there]
             solution = _ridge(X, path[there], self.read_ridge)
-            by_vertex = solution[: H * (m + 2)].reshape(H, m + 2)
-            R_y = np.zeros(hats) if velocity is None else solution[H * (m + 2) :]
+            by_vertex = solution[: H * n].reshape(H, n)
+            R_y = np.zeros(hats) if velocity is None else solution[H * n :]
             return ReadOut(by_vertex[:, :m].copy(), by_vertex[:, m:].copy(), R_y)
 
         return regress(alone, None), regress(riding, ridden)

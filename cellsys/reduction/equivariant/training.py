@@ -28,7 +28,7 @@ class ChargeData:
     ----------
     x : (K + 1, R, m)
         Whitened samples.
-    u : (K, R, 2)
+    u : (K, R, n_u)
         Command features.
     v : (K, R, m)
         Port velocities in whitened coordinates.
@@ -50,7 +50,7 @@ class ChargeData:
 
 @dataclass(eq=False)
 class ChargeParameters:
-    """A (H, m, m), B (H, m, 2) and gamma >= 0 of one charge; changed in place by training."""
+    """A (H, m, m), B (H, m, n_u) and gamma >= 0 of one charge; changed in place by training."""
 
     A: np.ndarray
     B: np.ndarray

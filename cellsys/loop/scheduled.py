@@ -1,0 +1,140 @@
+"""The closed polarity loop on an equivariant cell, whose plant follows its clock.
+
+The plant steps by its own dt; the heading turns by the exact law for the mean sensed direction of
+the step, and drives the plant from half-way through it: second order in dt in the coupling, exact
+in each part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import DataError, ParameterError
+from cellsys.loop.polarity import PolarityLaw
+from cellsys.reduction.equivariant.dynamics import CellState
+from cellsys.reduction.equivariant.model import EquivariantModel
+from cellsys.reduction.sensor import StiffnessSensor
+from cellsys.system import Block, Layout
+from cellsys.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class ScheduledLoop:
+    """Equivariant plant, controller and sensor joined.
+
+    Parameters
+    ----------
+    model : EquivariantModel
+    controller : PolarityLaw
+    sensor : StiffnessSensor
+        Its direction is normalised, as in the full-order model.
+    z0, p0 : (m,), (3,)
+        Start of `simulate`, at contact.
+    """
+
+    model: EquivariantModel
+    controller: PolarityLaw
+    sensor: StiffnessSensor
+    z0: np.ndarray
+    p0: np.ndarray
+
+    @property
+    def order(self) -> int:
+        """m."""
+        return self.model.order
+
+    def simulate(
+        self, t: np.ndarray, integrator: Any = None, *, amplitude: float | np.ndarray = 1.0
+    ) -> Trajectory:
+        """Run the loop from contact; samples at `t` (s, multiples of the model's step).
+
+        Parameters
+        ----------
+        integrator : None
+            The model brings its own step; another one is refused.
+        amplitude : float or (K,)
+            Lamellipodium amplitude of every step.
+        """
+        if integrator is not None:
+            raise ParameterError(
+                f"an equivariant plant steps by itself every {self.model.dt:g} s and takes no "
+                f"integrator, got {integrator!r}; use closed_loop(model.at(t)) for a frozen plant"
+            )
+        dt, t = self.model.dt, np.asarray(t, dtype=float)
+        steps = np.round(t / dt).astype(int)
+        if t.ndim != 1 or not len(t) or np.any(np.abs(steps * dt - t) > 1e-6) or steps[0] != 0:
+            raise ParameterError(f"t must start at 0 and lie on multiples of {dt:g} s")
+        if np.any(np.diff(steps) <= 0):
+            raise DataError("t must increase")
+        K = int(steps[-1])
+        drive = np.broadcast_to(np.asarray(amplitude, dtype=float), (K,))
+        if not np.all(np.isfinite(drive)):
+            raise DataError("amplitude holds NaN or inf")
+        z, p = np.empty((K + 1, self.order)), np.empty((K + 1, 3))
+        z[0], p[0] = self.z0, self.p0
+        for k in range(K):
+            z[k + 1], p[k + 1] = self._step(z[k], p[k], k * dt, float(drive[k]))
+        d = self.sensor.direction(z)
+        states = Layout(
+            [Block("z", (self.order,)), Block("p", (3,), "1", "controller", "internal")]
+        )
+        return Trajectory(
+            t,
+            np.concatenate([z, p], axis=1)[steps],
+            states,
+            p=p[steps][:, None],
+            d=d[steps][:, None],
+            label="closed loop, equivariant",
+        )
+
+    def _step(
+        self, z: np.ndarray, p: np.ndarray, t: float, amplitude: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        dt, law = self.model.dt, self.controller
+        before = self.sensor.direction(z)
+        middle = law.step(p, before, 0.5 * dt)
+        ahead = self._plant(z, middle, t, amplitude)
+        mean = 0.5 * (before + self.sensor.direction(ahead))
+        size = float(np.linalg.norm(mean))
+        mean = mean / size if size > 0 else before
+        return self._plant(z, law.step(p, mean, 0.5 * dt), t, amplitude), law.step(p, mean, dt)
+
+    def _plant(self, z: np.ndarray, p: np.ndarray, t: float, amplitude: float) -> np.ndarray:
+        dynamics = self.model.dynamics
+        state, w = dynamics.split(z), dynamics.clock.weights(t)
+        heading = np.asarray(np.arctan2(p[1], p[0]))
+        features = dynamics.features(np.asarray(amplitude), heading)
+        x = dynamics.advance(state, features, w)
+        moved = dynamics.moved(state.x[1], x[1], features[1], w)
+        return dynamics.join(CellState(tuple(x), state.place + moved))
+
+    def linearize(self, at: float | None = None, *, slower_than: float = 0.0) -> Any:
+        """`Linearisation` of the loop with the plant frozen at time `at` (default: the end).
+
+        About the state the loop has then; see `ClosedLoop.linearize` for the rest.
+        """
+        end = self.model.horizon if at is None else float(at)
+        dt = self.model.dt
+        steps = round(end / dt)
+        if not (np.isfinite(end) and steps >= 0):
+            raise ParameterError(f"at must be a time >= 0 s, got {at!r}")
+        run = self.simulate(dt * np.arange(steps + 1))
+        point = (run.x[-1, : self.order], run.x[-1, self.order :])
+        return self.frozen(end).linearize(point, slower_than=slower_than)
+
+    def open_loop(self, at: Any = None) -> Any:
+        """Return ratio at a `Linearisation` or a time; see `ClosedLoop.open_loop`."""
+        point = self.linearize(at) if at is None or isinstance(at, (int, float)) else at
+        return self.frozen(self.model.horizon).open_loop(point)
+
+    def frozen(self, t: float) -> Any:
+        """`ClosedLoop` on the plant frozen at t, which any integrator can run."""
+        from cellsys.loop.closed_loop import closed_loop
+
+        plain = replace(self.model.at(t), z_start=self.z0)
+        return closed_loop(
+            plain, controller=self.controller, sensor=self.sensor, z0=self.z0, p0=self.p0
+        )

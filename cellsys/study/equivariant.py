@@ -1,0 +1,127 @@
+"""The equivariant model of a study: learned, closed into the polarity loop, saved beside PCR."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import CellsysError
+from cellsys.loop import PolarityLaw, closed_loop
+from cellsys.reduction import Equivariant, EquivariantModel, Snapshots, snapshots
+from cellsys.reduction.equivariant.records import read_records
+from cellsys.response import margins
+from cellsys.scene import Scene
+from cellsys.trajectory import Trajectory
+
+ORDER = 50
+
+
+@dataclass(frozen=True, eq=False)
+class EquivariantStudy:
+    """What a study says of its equivariant model.
+
+    Parameters
+    ----------
+    model : EquivariantModel or None
+        None with the reason in `why_not`.
+    run : Trajectory or None
+        The polarity loop on it.
+    heading_error : dict
+        Degrees, against the full-order loop: rms and at the end.
+    table : dict
+        For ``summary.json``.
+    """
+
+    model: EquivariantModel | None
+    run: Trajectory | None
+    heading_error: dict[str, float]
+    table: dict[str, Any]
+    why_not: str | None = None
+
+    def lines(self) -> list[str]:
+        """For a terminal."""
+        if self.model is None:
+            return [f"no equivariant model: {self.why_not}"]
+        out = [f"equivariant model: {self.model.card.verdict}"]
+        slow = [p for p in self.model.labelled_poles() if p.value.real > -0.02][:6]
+        out += [
+            f"  charge {p.charge}: {p.value.real: .3e} {p.value.imag:+.3e}j 1/s" for p in slow
+        ]
+        out += [f"  warning: {text}" for text in self.model.card.warnings]
+        if self.heading_error:
+            out.append(
+                f"  its polarity loop: heading {self.heading_error['rms']:.1f} deg rms from the "
+                "full-order loop"
+            )
+        return out
+
+
+def study_equivariant(
+    scene: Scene, data: Snapshots, test: Snapshots, main: Trajectory
+) -> EquivariantStudy:
+    """Learn the model and run its loop; without one, say why."""
+    try:
+        method = Equivariant()
+        order = min(ORDER, max(5, data.n_samples // 10))
+        model = method.learn(data, order, test)
+    except CellsysError as error:
+        return EquivariantStudy(None, None, {}, {"why_not": str(error)}, str(error))
+    run, gap, loop_table = _loop(scene, model, main)
+    table = {
+        "why_not": None,
+        "card": model.card.table(),
+        "poles": [
+            {"real": p.value.real, "imag": p.value.imag, "charge": p.charge}
+            for p in model.labelled_poles()
+        ],
+        "fit_seconds": model.notes["fit_seconds"],
+        "loop": loop_table,
+    }
+    return EquivariantStudy(model, run, gap, table)
+
+
+def _loop(
+    scene: Scene, model: EquivariantModel, main: Trajectory
+) -> tuple[Trajectory | None, dict[str, float], dict[str, Any]]:
+    if "polarity" not in scene.effects:
+        return None, {}, {"why_not": "the scene has no polarity effect"}
+    try:
+        port = model.representation.port
+        record = read_records(snapshots([main]), model.dt, port, model.sites)[0]
+        loop = closed_loop(
+            model,
+            controller=PolarityLaw(kappa=scene.effects["polarity"].kappa),
+            z0=model.encode_cell(record.nodes[:1], record.loads[:1])[0],
+            p0=np.asarray(main.p[0, 0]),
+        )
+        t = model.dt * np.arange(record.steps + 1)
+        run = loop.simulate(t)
+    except CellsysError as error:
+        return None, {}, {"why_not": str(error)}
+    every = round(model.dt / (main.t[1] - main.t[0]))
+    true = np.asarray(main.p)[: len(t) * every : every, 0][: len(t)]
+    angle = np.angle(_complex(run.p[:, 0]) / _complex(true), deg=True)
+    gap = {"rms": float(np.sqrt(np.mean(angle**2))), "end": float(angle[-1])}
+    return run, gap, {"heading_error_deg": gap, **_margins(loop)}
+
+
+def _margins(loop: Any) -> dict[str, Any]:
+    try:
+        point = loop.linearize(slower_than=1.0 / loop.model.horizon)
+        found = margins(loop.open_loop(point))
+    except CellsysError as error:
+        return {"margins": None, "why_no_margins": str(error)}
+    return {
+        "margins": {
+            "gain_margin_on_kappa": found.gain_margin,
+            "phase_margin_deg": found.phase_margin,
+            "delay_margin_s": found.delay_margin,
+        },
+        "why_no_margins": None,
+    }
+
+
+def _complex(p: np.ndarray) -> np.ndarray:
+    return p[:, 0] + 1j * p[:, 1]
