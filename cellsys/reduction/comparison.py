@@ -13,7 +13,7 @@ import numpy as np
 from cellsys.drawable import Drawable
 from cellsys.errors import CellsysError, ParameterError
 from cellsys.reduction.basis import check_order, fit_basis
-from cellsys.reduction.card import DIVERGED
+from cellsys.reduction.card import BASELINES, DIVERGED
 from cellsys.reduction.contractive import Contractive
 from cellsys.reduction.least_squares import LeastSquares
 from cellsys.reduction.model import LatentModel
@@ -24,7 +24,6 @@ from cellsys.reduction.ridge import Ridge
 from cellsys.reduction.snapshots import Snapshots
 
 METHODS = (PCR(), LeastSquares(), Ridge(), Contractive())
-_OWN = ("model", "floor", "mse")  # what on a card's row belongs to the model, not to baselines
 
 
 @dataclass(frozen=True)
@@ -153,7 +152,7 @@ def compare_reductors(
         if not held:
             raise ParameterError("there are no positions in these data to measure errors on")
         block = block or next(iter(held))
-        seen = {k: v for k, v in held[block].items() if k not in _OWN} | seen
+        seen = {k: v for k, v in held[block].items() if k in BASELINES} | seen
         rows.append(_row(model, method, held[block], seconds, test))
     return Comparison(tuple(rows), seen, block, (len(train.runs), len(test.runs)), basis_s)
 
