@@ -28,7 +28,7 @@ import scipy.sparse as sp
 
 from cellsys.errors import ParameterError, SceneError
 from cellsys.mechanics import crawler_kernels as kernels
-from cellsys.mechanics.geometry.chain import Chain
+from cellsys.mechanics.geometry.chain import MOST, Chain
 from cellsys.system import Block, EventFunction, Layout, OdeSystem
 
 _CELL_STATES = (
@@ -106,15 +106,22 @@ class Crawler:
 
     def __post_init__(self) -> None:
         for name in ("mass", "adhesion_trail", "adhesion_lead"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ParameterError(f"Crawler.{name} must be > 0, got {getattr(self, name)!r}")
+            if not 1.0 / MOST <= getattr(self, name) <= MOST:
+                raise ParameterError(
+                    f"Crawler.{name} must be > 0, in [{1 / MOST:g}, {MOST:g}], "
+                    f"got {getattr(self, name)!r}"
+                )
         for name in ("drag", "drag2", "stiffness", "stiffness3", "damping", "length", "rupture"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise ParameterError(f"Crawler.{name} must be >= 0, got {getattr(self, name)!r}")
+            if not 0 <= getattr(self, name) <= MOST:
+                raise ParameterError(
+                    f"Crawler.{name} must be >= 0 and <= {MOST:g}, got {getattr(self, name)!r}"
+                )
         for name in ("grab", "trail", "lead", "trail_velocity", "lead_velocity"):
             value = getattr(self, name)
-            if value is not None and not np.isfinite(value):
-                raise ParameterError(f"Crawler.{name} must be finite, got {value!r}")
+            if value is not None and not abs(value) <= MOST:
+                raise ParameterError(
+                    f"Crawler.{name} must be finite and at most {MOST:g} in size, got {value!r}"
+                )
         if self.heading not in (1, -1):
             raise ParameterError(f"Crawler.heading must be 1 or -1, got {self.heading!r}")
         if (self.lead_node - self.trail_node) * self.heading < 1:

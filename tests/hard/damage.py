@@ -27,7 +27,7 @@ def mutated(text, seed, changes):
         match int(rng.integers(12)):
             case 6 | 7 | 8 | 9 | 10 | 11:
                 # right in kind, far from any sensible size
-                found = list(re.finditer(r'"(-?[0-9.]+)( [^"]+)"', lines[k]))
+                found = list(re.finditer(r'"(-?[0-9]+\.?[0-9]*)( [^"]+)"', lines[k]))
                 if found:
                     m = found[int(rng.integers(len(found)))]
                     new = f"{float(m[1]) * FACTORS[int(rng.integers(len(FACTORS)))]:g}"

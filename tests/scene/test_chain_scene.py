@@ -251,7 +251,7 @@ def test_study_of_a_chain_writes_run_summary_figures_and_report(tmp_path):
 
 def test_a_method_that_gives_up_is_one_error_without_a_warning():
     with pytest.raises(IntegrationError, match="LSODA failed"):
-        run_scene(short(damping="1e308 pN s/um"))
+        run_scene(short(damping="1e9 pN s/um", mass="1e-9 pN s^2/um"))
 
 
 def test_a_study_that_fails_writes_nothing(tmp_path, monkeypatch):

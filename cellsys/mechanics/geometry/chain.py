@@ -9,6 +9,10 @@ import scipy.linalg as sla
 
 from cellsys.errors import DimensionError, ParameterError
 
+# Numbers of a chain and of its cells lie within this factor of one unit: beyond, a run takes steps
+# without end.
+MOST = 1e9
+
 
 @dataclass(frozen=True, kw_only=True)
 class Chain:
@@ -50,10 +54,14 @@ class Chain:
             raise ParameterError(f"Chain.nodes must be a whole number >= 2, got {self.nodes!r}")
         for name, unit in (("spacing", "um"), ("stiffness", "pN"), ("drag", "pN s/um")):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ParameterError(f"Chain.{name} must be > 0 {unit}, got {value!r}")
-        if not (np.isfinite(self.stiffening) and self.stiffening >= 0):
-            raise ParameterError(f"Chain.stiffening must be >= 0, got {self.stiffening!r}")
+            if not 1.0 / MOST <= value <= MOST:
+                raise ParameterError(
+                    f"Chain.{name} must be > 0 {unit}, in [{1 / MOST:g}, {MOST:g}], got {value!r}"
+                )
+        if not 0 <= self.stiffening <= MOST:
+            raise ParameterError(
+                f"Chain.stiffening must be >= 0 and <= {MOST:g}, got {self.stiffening!r}"
+            )
 
     @property
     def rest(self) -> np.ndarray:
