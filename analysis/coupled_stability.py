@@ -91,7 +91,8 @@ def against_K(model: cs.LatentModel, P_map, numbers, folder) -> None:
     for ax, (form, sets, limit) in zip(axes, drawn, strict=True):
         poles_against_cells(numbers, sets, ax, limit=limit)
         ax.set_title(form.name, fontsize="medium")
-        ax.set_xscale("symlog", linthresh=1e-4)
+        ax.set_xscale("symlog", linthresh=1e-2)
+        ax.tick_params(axis="x", labelsize="small")
     save_png(figure, folder / "coupled_stability.png")
 
 

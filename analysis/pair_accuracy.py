@@ -32,10 +32,10 @@ def scenes(quick: bool):
     if quick:
         matrix = dataclasses.replace(matrix, diameter=44.0, nodes=500)
         cell = dataclasses.replace(cell, radius=5.0)
-        base = dataclasses.replace(base, duration=40.0)
-        plan = dataclasses.replace(base.training, duration=40.0)
+        base = dataclasses.replace(base, duration=30.0)
+        plan = dataclasses.replace(base.training, duration=30.0)
         base = dataclasses.replace(base, training=plan)
-        places, plain, loaded = PLACES[:1], 4, 0
+        places, plain, loaded = PLACES[:1], 3, 0
     base = dataclasses.replace(base, matrix=matrix, cells=(cell,))
     train = cs.turning_scenes(base, plain, seed=101, scatter=3.0)
     if loaded:
@@ -136,7 +136,8 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
         method = cs.Equivariant(folds=0, iterations=8) if quick else cs.Equivariant(folds=0)
         model = cs.reduce(data, order=24 if quick else 100, method=method)
         print(model.card.verdict)
-        field = cs.GalerkinField(cs.build(pairs[0]), order=60 if quick else 200)
+        system = cs.build(pairs[0])
+        field = cs.GalerkinField(system, order=40, places=20) if quick else cs.GalerkinField(system)
         print(cs.couple(model, coupling=cs.LoadPorts(field, PLACES[0])).stability())
         rows = [compare(model, field, scene, folder) for scene in pairs]
     if out is None:
