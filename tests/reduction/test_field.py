@@ -356,6 +356,13 @@ def test_true_loads_of_a_run_give_its_matrix():
     assert error(f.truncated(50)) > error(f)
     linear = cs.full_field(clutch(), linear=True)
     assert error(linear) > 3.0 * error(whole)
+    # Loads at the interval's end take the lag of half an interval away.
+    late = whole.simulate(loads, 2.0).x
+    met = whole.simulate(whole.loads(run, "end"), 2.0).x
+    at = whole.project(truth)
+    assert np.linalg.norm(met - at) < 0.7 * np.linalg.norm(late - at)
+    with pytest.raises(ParameterError, match="average"):
+        f.loads(run, "start")
     # The loads of the run and the matrix's own forces are all there is: C u' = F + loads.
     rate = np.diff(truth, axis=0) / 2.0
     own = run.auxiliary("matrix.matrix_elasticity") + run.auxiliary("matrix.foundation")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from cellsys.errors import SceneError
+from cellsys.errors import ParameterError, SceneError
 from cellsys.mechanics.effects.fibre_bending import bend_forces
 from cellsys.mechanics.effects.matrix import MATRIX, FibreElement
 from cellsys.mechanics.effects.protocol import Configuration
@@ -131,12 +131,17 @@ class MatrixEnergy:
                 K = K + sp.kron(part.matrix(), sp.diags_array(on))
         return sp.csc_array(K)
 
-    def loads(self, run: Trajectory) -> np.ndarray:
-        """Loads on the matrix in a run (T - 1, n, 3), pN: averages over the sampling intervals.
+    def loads(self, run: Trajectory, at: str = "average") -> np.ndarray:
+        """Loads on the matrix in a run (T - 1, n, 3), pN, one for each sampling interval.
 
+        "average": over the interval, as logged. "end": at its end, half-way between this average
+        and the next (the last one extrapolated). The matrix follows its load within seconds, so
+        an implicit step under the average arrives half an interval late; under the end value not.
         Everything that acts on the matrix (adhesions, external loads) except its own elasticity
         and foundation, and except what the stepping left over (``step_residual``).
         """
+        if at not in ("average", "end"):
+            raise ParameterError(f"at must be 'average' or 'end', got {at!r}")
         rows = run.states.slice(_STATE)
         total = self.drag * np.asarray(run.u)[:, rows]
         W = self.drag * sp.csc_array(run.W_eta)[rows]
@@ -147,6 +152,10 @@ class MatrixEnergy:
             part = W[:, piece]
             if part.nnz:
                 total = total + np.asarray(run.eta)[:, piece] @ part.T
+        if at == "end" and len(total) > 1:
+            total = np.concatenate(
+                [0.5 * (total[:-1] + total[1:]), 1.5 * total[-1:] - 0.5 * total[-2:-1]]
+            )
         return total.reshape(len(total), self.n, 3)
 
 

@@ -85,9 +85,13 @@ class MatrixField(LinearisedField):
         """Indices of the nodes that cells and external loads can load."""
         return self.matrix.disc.surface
 
-    def loads(self, run: Trajectory) -> np.ndarray:
-        """Nodal loads (T - 1, n, 3), pN, on the matrix in a full-order run of its scene."""
-        return self.matrix.loads(run)
+    def loads(self, run: Trajectory, at: str = "average") -> np.ndarray:
+        """Nodal loads (T - 1, n, 3), pN, on the matrix in a run of its scene.
+
+        Averages over the sampling intervals as logged, or their values at its "end"; see
+        `MatrixEnergy.loads`.
+        """
+        return self.matrix.loads(run, at)
 
     # Energy
 

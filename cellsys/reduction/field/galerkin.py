@@ -60,8 +60,8 @@ class GalerkinField(MatrixField):
     linear: bool = False
     seed: int = 0
     snapshots: Any = field(default=None, repr=False)
-    places: int = 120
-    per_place: int = 6
+    places: int = 180
+    per_place: int = 5
     slope: float = 0.85
     tolerance: float = 1e-3
     iterations: int = 200
