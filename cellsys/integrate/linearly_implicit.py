@@ -25,7 +25,6 @@ from cellsys.errors import ParameterError
 from cellsys.integrate.stepping import Stepper, check_step
 from cellsys.system import MajorantBlock, OdeSystem, OverdampedSystem
 
-
 _STILL = 1e-9  # um/s: nodes that are slower are at rest
 
 

@@ -159,6 +159,7 @@ class SpreadingSystem(OverdampedSystem):
             ("_mobility", mobility),
             ("_internal", tuple(inside)),
             ("_last", ()),
+            ("_senses", any(getattr(e, "sensing", None) is not None for e in elements)),
             (
                 "_switching",
                 tuple(e for e in elements if type(e).between_steps is not Element.between_steps),
@@ -252,6 +253,9 @@ class SpreadingSystem(OverdampedSystem):
         for element in self.elements:
             for name, value in element.observe(s).items():
                 out.setdefault(name, []).append(value)
+        if not self._senses:
+            # Nothing is sensed: a direction that only repeats p is no measurement to learn from.
+            out.pop("d", None)
         return {name: np.array(values) for name, values in out.items()}
 
     # OverdampedSystem

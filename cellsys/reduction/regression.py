@@ -155,7 +155,7 @@ def input_map(
 
     Returns B (m, n_c), the constant part (m,), names, and the share of u's variance about its
     mean that the commands explain (None without commands). Without commands a small system's u
-    enters as it is, one input per state.
+    enters as it is, one input per state; a u that is zero throughout makes no input.
     """
     m = weight.shape[1]
     if not data.has_u:
@@ -169,6 +169,8 @@ def input_map(
         total = float(np.sum(spread**2))
         share = 1.0 - float(np.sum(left**2)) / total if total > 0 else None
         return (U @ weight[moving]).T, u_0 @ weight[moving], names, share
+    if not len(data.moving_input[0]):
+        return np.zeros((m, 0)), np.zeros(m), (), None
     if data.states.size > 200:
         raise DataError(
             "u has more than 200 columns and no commands were given; pass the low-dimensional "
