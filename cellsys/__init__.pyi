@@ -1,4 +1,14 @@
 from . import bondgraph, response
+from .accuracy import (
+    Budget,
+    CostProblem,
+    Setup,
+    WorkPrecision,
+    budget,
+    by_step,
+    by_tolerance,
+    work_precision,
+)
 from .bondgraph import BondGraph
 from .errors import (
     BudgetError,
@@ -174,6 +184,6 @@ from .system import (
     OdeSystem,
     OverdampedSystem,
 )
-from .trajectory import Trajectory
+from .trajectory import ErrorEstimate, Trajectory
 from .units import quantity
 from .version import __version__

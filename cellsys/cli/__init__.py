@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import sys
 
-from cellsys.cli import couple, effects, models, scenes, sweep
+from cellsys.cli import cost, couple, effects, models, scenes, sweep
 from cellsys.cli.console import app, say_error
 
-__all__ = ["app", "couple", "effects", "main", "models", "scenes", "sweep"]
+__all__ = ["app", "cost", "couple", "effects", "main", "models", "scenes", "sweep"]
 
 
 def main() -> None:

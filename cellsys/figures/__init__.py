@@ -8,6 +8,7 @@ import lazy_loader as _lazy
 __getattr__, __dir__, __all__ = _lazy.attach(
     __name__,
     submod_attrs={
+        "accuracy": ["work_precision"],
         "bondgraph": ["bond_graph"],
         "comparison": ["comparison", "learning_curve", "selection"],
         "crawler": [

@@ -1,0 +1,57 @@
+"""What accuracy costs for a scene: cellsys cost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cellsys.cli.console import Json, SceneFile, app, dump, print_table
+
+
+@app.command()
+def cost(
+    scene: SceneFile,
+    error: Annotated[float, typer.Option(help="Share of the motion that may be missed.")] = 0.01,
+    probe: Annotated[float, typer.Option(help="Seconds of the scene that are run.")] = 10.0,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder for CSV, JSON and figure.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Error and time of every full-order method on a scene, and the cheapest that will do."""
+    import numpy as np
+
+    from cellsys.accuracy import budget
+    from cellsys.scene import load_scene
+
+    plan = load_scene(scene)
+    end = min(probe, plan.duration)
+    t = np.linspace(0.0, end, 1 + max(2, round(end / min(plan.sample, 2.0))))
+    found = budget(plan, error=error, t=t)
+    sweep = found.sweeps[0]
+    if out is not None:
+        from cellsys.figures.sheet import save_png
+
+        csv, _ = sweep.save(out)
+        save_png(sweep.plot()[0].figure, csv.with_suffix(".png"))
+    if as_json:
+        dump(
+            {
+                "error": error,
+                "measure": found.measure,
+                "integrator": repr(found.integrator) if found else None,
+                "held_out": found.held_out,
+                "floor": found.floor,
+                "points": [vars(p) for p in sweep.points],
+                "footer": sweep.footer,
+            }
+        )
+        return
+    print_table(
+        f"{sweep.problem}: share of the motion missed in {end:g} s",
+        ["method", "setting", "error", "time or reason", ""],
+        sweep.table(),
+    )
+    print(found)
