@@ -2,9 +2,9 @@
 
     x_q+ = A_q(t) x_q + B_q(t) r(a) e^{i q theta} - gamma_q (I + A_q)/2 C_q^T y_q
     f_q  = C_q (x_q + x_q+)/2                    load density on the matrix
-    c+   = c + R_z(t) (z_1 + z_1+)/2 + R_u(t) r(a) e^{i theta} + R_y y_W0
+    c+   = c + R_z(t) (x_1 + x_1+)/2 + R_u(t) r(a) e^{i theta} + R_y y_W0
 
-r(a) = [1; a - 1; (a - 1)^2]; x_q is whitened, z_q = spread_q x_q; ||A_q||_2 <= 1 at every vertex, so that
+r(a) = [1; a - 1; (a - 1)^2]; x_q are coordinates in which ||A_q||_2 <= 1 at every vertex, so that
 
     |x+|^2 - |x|^2 <= -2 gamma f.y          (u = 0; exact for every schedule)    [theory.md 4b]
 """
@@ -37,21 +37,18 @@ class ChargeBlock:
     Parameters
     ----------
     A : (H, m, m)
-        Whitened step matrices at the vertices.
+        Step matrices at the vertices.
     B : (H, m, 3)
     gamma : float
         Gain of the port, 1/(pN um/s) in whitened units; 0 is a cascade.
     C : (n_load, m)
         Load read-out of x, pN/um.
-    spread : (m,)
-        z = spread x.
     """
 
     A: np.ndarray
     B: np.ndarray
     gamma: float
     C: np.ndarray
-    spread: np.ndarray
 
     @property
     def size(self) -> int:
@@ -87,7 +84,7 @@ class ReadOut:
 
 @dataclass(frozen=True, eq=False)
 class CellState:
-    """Whitened charges and centroid of one or of K cells (leading axes alike)."""
+    """Charges and centroid of one or of K cells (leading axes alike)."""
 
     x: tuple[np.ndarray, ...]
     place: np.ndarray
@@ -144,7 +141,7 @@ class CellDynamics:
         rides on the matrix is used.
         """
         read = self.alone if velocity is None else self.riding
-        middle = 0.5 * (before + after) * self.blocks[1].spread
+        middle = 0.5 * (before + after)
         step = middle @ (w @ read.R_z) + features @ (w @ read.R_u)
         if velocity is not None:
             step = step + velocity @ read.R_y
@@ -153,7 +150,7 @@ class CellDynamics:
     def step_matrices(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Real step matrices at the frozen time t: states, harmonics, offset.
 
-        States: z_0, then Re and Im of each further charge (unwhitened), then the centroid.
+        States: x_0, then Re and Im of each further charge, then the centroid.
         Inputs: see `harmonic_names`: a and a^2, then for q = 1 .. top cos and sin of q theta
         plain, times a, and times a^2.
         """
@@ -165,18 +162,17 @@ class CellDynamics:
         offset, starts = np.zeros(m + 2), self.starts()
         for q, block in enumerate(self.blocks):
             Aw, Bw = block.at(w)
-            Az = block.spread[:, None] * Aw / block.spread
-            by_power = (block.spread[:, None] * Bw) @ _POWERS
+            by_power = Bw @ _POWERS
             i = starts[q]
             if q == 0:
                 rows = slice(i, i + block.size)
-                A[rows, rows] = Az
+                A[rows, rows] = Aw
                 offset[rows] = by_power[:, 0]
                 B[rows, :2] = by_power[:, 1:]
                 continue
             for part in range(2):  # real part follows cos, imaginary part sin
                 rows = slice(i + part * block.size, i + (part + 1) * block.size)
-                A[rows, rows] = Az
+                A[rows, rows] = Aw
                 B[rows, _columns(q, part)] = by_power
         A[m:, m:] = np.eye(2)
         R_z, R_u = w @ self.alone.R_z, (w @ self.alone.R_u) @ _POWERS
@@ -195,20 +191,20 @@ class CellDynamics:
         return [int(s) for s in np.concatenate([[0], np.cumsum(sizes)[:-1]])]
 
     def split(self, z: np.ndarray) -> CellState:
-        """Whitened charges and centroid of real states (..., m + 2)."""
+        """Charges and centroid of real states (..., m + 2)."""
         out = []
         for q, (i, block) in enumerate(zip(self.starts(), self.blocks, strict=True)):
             part = z[..., i : i + block.size]
             if q:
                 part = part + 1j * z[..., i + block.size : i + 2 * block.size]
-            out.append(part / block.spread)
+            out.append(part)
         return CellState(tuple(out), z[..., -2:])
 
     def join(self, state: CellState) -> np.ndarray:
         """Real states (..., m + 2); inverse of `split`."""
-        parts = [state.x[0] * self.blocks[0].spread]
-        for x, block in zip(state.x[1:], self.blocks[1:], strict=True):
-            parts += [x.real * block.spread, x.imag * block.spread]
+        parts = [state.x[0]]
+        for x in state.x[1:]:
+            parts += [x.real, x.imag]
         return np.concatenate([*parts, state.place], axis=-1)
 
     def labels(self) -> np.ndarray:

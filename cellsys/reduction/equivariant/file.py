@@ -37,8 +37,9 @@ def write_parts(model: Any, path: str | Path) -> Path:
             f"B {q}": block.B,
             f"C {q}": block.C,
             f"gamma {q}": np.array(block.gamma),
-            f"spread {q}": block.spread,
-            f"V {q}": model.modes.V[q],
+            f"decoder {q}": model.modes.decoder[q],
+            f"encoder {q}": model.modes.encoder[q],
+            f"variance {q}": model.modes.variance[q],
         }
     for name in ("alone", "riding"):
         read = getattr(dynamics, name)
@@ -92,7 +93,6 @@ def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
                 arrays[f"B {q}"],
                 float(arrays[f"gamma {q}"]),
                 arrays[f"C {q}"],
-                arrays[f"spread {q}"],
             )
             for q in CHARGES
         )
@@ -110,8 +110,7 @@ def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
             meta["load_weight"],
         )
         modes = ChargeModes(
-            {q: arrays[f"V {q}"] for q in CHARGES},
-            {q: blocks[q].spread for q in CHARGES},
+            *({q: arrays[f"{k} {q}"] for q in CHARGES} for k in ("decoder", "encoder", "variance")),
             {int(q): v for q, v in meta["tail"].items()},
         )
         sites = PortSites(arrays["site nodes"], arrays["site place"], arrays["site area"])

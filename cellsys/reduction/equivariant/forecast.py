@@ -134,7 +134,7 @@ class ValidityMonitor:
     turning : float
         Greatest change of the heading in one step, rad.
     latent : tuple of float
-        Greatest |x_q| (whitened) per charge.
+        Greatest |x_q| per charge.
     strain : float
         Greatest rms change of shape over the radius.
     time : float
@@ -215,8 +215,8 @@ def _sizes(model: Any, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     state = dynamics.split(np.atleast_2d(z))
     sizes = np.stack([np.sqrt(np.sum(np.abs(x) ** 2, axis=-1)) for x in state.x], axis=-1)
     total = np.zeros(len(sizes))
-    for q, (x, block) in enumerate(zip(state.x, dynamics.blocks, strict=True)):
-        shape, _ = model.representation.split(q, (x * block.spread) @ model.modes.V[q].T)
+    for q, features in model.modes.decode(dict(enumerate(state.x))).items():
+        shape, _ = model.representation.split(q, features)
         total = total + np.sum(np.abs(shape) ** 2, axis=-1)
     return sizes, np.sqrt(total) / model.representation.shape.radius
 

@@ -46,7 +46,7 @@ def harmonic_names(cell: str) -> tuple[str, ...]:
 class EquivariantModel(LatentModel):
     """A cell as azimuthal charges; see `CellDynamics` for its equations  [theory.md 4b].
 
-    z = [z_0, Re z_1, Im z_1, ..., centroid x, centroid y]; a step model of `dt` seconds whose
+    z = [x_0, Re x_1, Im x_1, ..., centroid x, centroid y]; a step model of `dt` seconds whose
     matrices follow a clock that starts at contact. `A`, `B`, `offset` are those frozen at the end
     of the training runs; `at(t)` gives the model frozen at another time. There is no basis
     matrix: V, V_x and V_eta raise a RepresentationError.
@@ -236,20 +236,16 @@ class EquivariantModel(LatentModel):
     ) -> np.ndarray:
         """z (T, m + 2) from node positions (T, n, 3) and load charges."""
         centre, features = self.representation.features(nodes, loads)
-        z = self.modes.encode(features)
-        x = tuple(z[q] / b.spread for q, b in enumerate(self.dynamics.blocks))
-        return self.dynamics.join(CellState(x, centre[:, :2]))
+        x = self.modes.encode(features)
+        parts = tuple(x[q] for q in range(len(self.dynamics.blocks)))
+        return self.dynamics.join(CellState(parts, centre[:, :2]))
 
     def _features(self, z: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
         z = np.asarray(z, dtype=float)
         if z.shape[-1] != self.order:
             raise DimensionError(f"z must have {self.order} entries, got {z.shape[-1]}")
         state = self.dynamics.split(z)
-        latent = {
-            q: x * b.spread
-            for q, (x, b) in enumerate(zip(state.x, self.dynamics.blocks, strict=True))
-        }
-        return state.place, self.modes.decode(latent)
+        return state.place, self.modes.decode(dict(enumerate(state.x)))
 
     def reconstruct(self, z: np.ndarray) -> np.ndarray:
         """Node positions of the cell, (3 n,) or (T, 3 n) node-major, um."""
@@ -311,7 +307,7 @@ class EquivariantModel(LatentModel):
             for k in range(K):
                 x[k + 1] = A[k] @ x[k] + drive[k]
             xs.append(x)
-        middle = 0.5 * (xs[1][1:] + xs[1][:-1]) * dynamics.blocks[1].spread
+        middle = 0.5 * (xs[1][1:] + xs[1][:-1])
         step = np.sum(middle * (w @ dynamics.alone.R_z), axis=1)
         step = step + np.sum(features[1] * (w @ dynamics.alone.R_u), axis=1)
         path = np.concatenate([[0.0], np.cumsum(step)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -71,11 +71,11 @@ class Equivariant:
 
     step: float = 10.0
     clock: Clock = field(default_factory=Clock)
-    iterations: int = 350
+    iterations: int = 450
     rate: float = 6e-3
     ridge: float = 1e-4
     margin: float | None = 1e-3
-    load_share: float = 0.5
+    load_share: float = 0.3
     degree: int = 10
     port: PolarPort = field(default_factory=PolarPort)
     read_ridge: float = 1e-3
@@ -140,14 +140,19 @@ class Equivariant:
             raise DataError("an equivariant model needs at least one run with a cell")
         representation, features = self._represent(records)
         modes = fit_modes([f for _, f in features], order - 2)
-        blocks, history, charge_1 = [], {}, None
+        trained, history = {}, {}
         for q in CHARGES:
-            block, rows, losses = self._charge(q, records, features, representation, modes)
-            blocks.append(block)
-            history[str(q)] = losses
+            rows = self._rows(q, records, features, representation, modes)
+            best, losses = self._train(rows)
+            trained[q], history[str(q)] = (best, rows), losses
+        modes = modes.in_norm({q: p.S for q, (p, _) in trained.items()})
+        blocks = []
+        for q, (p, rows) in trained.items():
+            p = replace(p, gamma=port_gain(p, rows))
+            C = modes.decoder[q][-representation.load_size(q) :] / representation.load_weight
+            blocks.append(ChargeBlock(p.A, p.S @ p.B, p.gamma, C))
             if q == 1:
-                charge_1 = rows
-        alone, riding = self._read_outs(records, features, *charge_1)
+                alone, riding = self._read_outs(records, features, *in_norm(p, rows))
         dynamics = CellDynamics(tuple(blocks), self.clock, self.step, alone, riding)
         last = max(len(run.x) for run in data.runs) - 1
         model = EquivariantModel(
@@ -229,30 +234,32 @@ class Equivariant:
                     each[q][:, -size:] *= weight
         return final, features
 
-    def _charge(
+    def _rows(
         self,
         q: int,
         records: Sequence[CellRecord],
         features: list[tuple[np.ndarray, dict[int, np.ndarray]]],
         representation: CellRepresentation,
         modes: ChargeModes,
-    ) -> tuple[ChargeBlock, tuple[ChargeParameters, ChargeData], list[float]]:
-        V, spread = modes.V[q], modes.spread[q]
-        C = V[len(V) - representation.load_size(q) :] / representation.load_weight * spread
-        x = [f[q] @ V / spread for _, f in features]
+    ) -> ChargeData:
+        """Samples, commands and port velocities of one charge, whitened."""
+        D, E = modes.decoder[q], modes.encoder[q]
+        C = D[len(D) - representation.load_size(q) :] / representation.load_weight
+        x = [f[q] @ E.T for _, f in features]
         u = [command_features(r.amplitude, r.heading, q) for r in records]
         v = [np.array([y[q] for y in r.velocity]) @ C for r in records]
         clock = self.clock.weights(self.step * np.arange(max(len(a) for a in u)))
-        rows = charge_data(q, x, u, v, clock, spread**2)
+        return charge_data(q, x, u, v, clock, modes.variance[q])
+
+    def _train(self, rows: ChargeData) -> tuple[ChargeParameters, list[float]]:
+        m, H = rows.x.shape[2], self.clock.vertices
         bound = None if self.margin is None else 1.0 - self.margin
-        if not len(spread):
-            H = self.clock.vertices
-            empty = ChargeParameters(np.zeros((H, 0, 0)), np.zeros((H, 0, N_FEATURES)))
-            return ChargeBlock(empty.A, empty.B, 0.0, C, spread), (empty, rows), []
+        if not m:
+            empty = np.zeros((H, 0, 0)), np.zeros((H, 0, N_FEATURES))
+            return ChargeParameters(*empty, 0.0, np.zeros((0, 0))), []
         start = one_step(rows, self.ridge, np.inf if bound is None else bound)
         best, losses = train(start, rows, iterations=self.iterations, rate=self.rate, bound=bound)
-        best.gamma = port_gain(best, rows)
-        return ChargeBlock(best.A, best.B, best.gamma, C, spread), (best, rows), losses
+        return best if best.S is not None else replace(best, S=np.eye(m)), losses
 
     def _read_outs(
         self,
@@ -265,8 +272,7 @@ class Equivariant:
         K, H = len(rows.u), rows.w.shape[1]
         m, hats = rows.x.shape[2], self.port.n_hats
         n = m + N_FEATURES
-        spread = np.sqrt(rows.weight)
-        alone = roll_out(ChargeParameters(p.A, p.B, 0.0), rows)
+        alone = roll_out(replace(p, gamma=0.0), rows)
         riding = roll_out(p, rows)
         ridden = _stack(
             [np.array([y[1][hats : 2 * hats] for y in r.velocity]) for r in records], K, 1
@@ -277,7 +283,7 @@ class Equivariant:
         there = rows.counts[1:] > 0
 
         def regress(x: np.ndarray, velocity: np.ndarray | None) -> ReadOut:
-            middle = 0.5 * (x[1:] + x[:-1]) * spread
+            middle = 0.5 * (x[1:] + x[:-1])
             scheduled = np.concatenate([middle, rows.u], axis=2)
             table = (rows.w[:, None, :, None] * scheduled[:, :, None, :]).reshape(
                 *middle.shape[:2], -1
@@ -291,6 +297,16 @@ class Equivariant:
             return ReadOut(by_vertex[:, :m].copy(), by_vertex[:, m:].copy(), R_y)
 
         return regress(alone, None), regress(riding, ridden)
+
+
+def in_norm(p: ChargeParameters, rows: ChargeData) -> tuple[ChargeParameters, ChargeData]:
+    """Parameters and rows in the coordinates S x, where the norm of A is the plain one."""
+    moved = replace(
+        rows,
+        x=rows.x @ p.S.T,
+        v=sla.solve(p.S.T, rows.v.reshape(-1, len(p.S)).T).T.reshape(rows.v.shape),
+    )
+    return ChargeParameters(p.A, p.S @ p.B, p.gamma), moved
 
 
 def charge_data(

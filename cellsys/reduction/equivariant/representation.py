@@ -86,37 +86,53 @@ class CellRepresentation:
 
 @dataclass(frozen=True, eq=False)
 class ChargeModes:
-    """POD of every charge on real and imaginary parts: features ~ V_q z_q, V_q real.
+    """Coordinates of every charge: features ~ decoder x, x = encoder features; both real.
+
+    POD on real and imaginary parts, whitened; a reductor may go over to coordinates in which its
+    model contracts (`in_norm`).
 
     Parameters
     ----------
-    V : dict of (d_q, m_q)
-        Orthonormal columns.
-    spread : dict of (m_q,)
-        Root mean square of each z, for whitening.
+    decoder : dict of (d_q, m_q)
+    encoder : dict of (m_q, d_q)
+        encoder decoder = I; their product the other way round is the orthogonal projection.
+    variance : dict of (m_q,)
+        Of the POD coordinates: weights of the loss.
+    tail : dict of float
+        Share of each charge's squared norm that is left out.
     """
 
-    V: dict[int, np.ndarray]
-    spread: dict[int, np.ndarray]
+    decoder: dict[int, np.ndarray]
+    encoder: dict[int, np.ndarray]
+    variance: dict[int, np.ndarray]
     tail: dict[int, float] = field(default_factory=dict)
 
     @property
     def orders(self) -> tuple[int, ...]:
         """m_q of the charges 0, 1, ...; complex for q > 0."""
-        return tuple(self.V[q].shape[1] for q in CHARGES)
+        return tuple(self.decoder[q].shape[1] for q in CHARGES)
 
     @property
     def order(self) -> int:
         """Number of real states."""
-        return sum(m * (1 if q == 0 else 2) for q, m in enumerate(self.orders))
+        return sum(m * _cost(q) for q, m in enumerate(self.orders))
 
     def encode(self, features: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
-        """z_q (..., m_q)."""
-        return {q: features[q] @ self.V[q] for q in CHARGES}
+        """x_q (..., m_q)."""
+        return {q: features[q] @ self.encoder[q].T for q in CHARGES}
 
-    def decode(self, z: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
+    def decode(self, x: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
         """Features (..., d_q)."""
-        return {q: z[q] @ self.V[q].T for q in CHARGES}
+        return {q: x[q] @ self.decoder[q].T for q in CHARGES}
+
+    def in_norm(self, S: dict[int, np.ndarray]) -> ChargeModes:
+        """Coordinates S_q x_q."""
+        return ChargeModes(
+            {q: sla.solve(S[q].T, D.T).T for q, D in self.decoder.items()},
+            {q: S[q] @ E for q, E in self.encoder.items()},
+            self.variance,
+            self.tail,
+        )
 
 
 def fit_modes(features: Sequence[dict[int, np.ndarray]], order: int) -> ChargeModes:
@@ -195,15 +211,19 @@ class _Variance:
         return lost / sum(float(np.sum(s**2)) for s, _ in self.parts.values())
 
     def modes(self, order: int) -> ChargeModes:
-        """Modes, spreads and what is left of every charge."""
+        """Coordinates of every charge and what they leave out."""
         chosen = self.shares(order)
-        V = {q: np.ascontiguousarray(self.parts[q][1][:m].T) for q, m in chosen.items()}
-        spread = {q: self.parts[q][0][:m] / np.sqrt(self.rows[q]) for q, m in chosen.items()}
+        decoder, encoder, variance = {}, {}, {}
+        for q, m in chosen.items():
+            spread = self.parts[q][0][:m] / np.sqrt(self.rows[q])
+            V = self.parts[q][1][:m]
+            decoder[q], encoder[q] = np.ascontiguousarray(V.T) * spread, V / spread[:, None]
+            variance[q] = spread**2
         tail = {}
         for q, (s, _) in self.parts.items():
             total = float(np.sum(s**2))
             tail[q] = float(np.sum(s[chosen[q] :] ** 2)) / total if total else 0.0
-        return ChargeModes(V, spread, tail)
+        return ChargeModes(decoder, encoder, variance, tail)
 
 
 def _cost(q: int) -> int:

@@ -45,20 +45,24 @@ def test_roll_out_is_the_recursion_written_out():
 def test_gradient_is_that_of_the_loss():
     """Central differences, error about 1e-10 of the largest entry."""
     true, data = problem(noise=0.1)
-    p = ChargeParameters(0.9 * true.A, 1.1 * true.B, 0.2)
-    _, g = loss_and_gradient(p, data)
     rng = np.random.default_rng(3)
+    S = np.eye(3) + 0.3 * rng.standard_normal((3, 3))
+    p = ChargeParameters(0.9 * true.A, 1.1 * true.B, 0.2, S)
+    _, g = loss_and_gradient(p, data)
     for _ in range(6):
-        dA, dB, dg = rng.standard_normal(p.A.shape), rng.standard_normal(p.B.shape), 0.7
-        h = 1e-6
+        dA, dB = rng.standard_normal(p.A.shape), rng.standard_normal(p.B.shape)
+        dS, dg, h = rng.standard_normal(S.shape), 0.7, 1e-6
         ends = [
             loss_and_gradient(
-                ChargeParameters(p.A + s * h * dA, p.B + s * h * dB, p.gamma + s * h * dg), data
+                ChargeParameters(
+                    p.A + s * h * dA, p.B + s * h * dB, p.gamma + s * h * dg, S + s * h * dS
+                ),
+                data,
             )[0]
             for s in (1, -1)
         ]
         slope = (ends[0] - ends[1]) / (2 * h)
-        exact = float(np.sum(g.A * dA) + np.sum(g.B * dB) + g.gamma * dg)
+        exact = float(np.sum(g.A * dA) + np.sum(g.B * dB) + g.gamma * dg + np.sum(g.S * dS))
         assert slope == pytest.approx(exact, rel=1e-6, abs=1e-8)
 
 
