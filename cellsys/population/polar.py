@@ -1,6 +1,6 @@
 """Equivariant cells at their ports: the frozen linear cell, and where its loads touch the matrix.
 
-In whitened charges, one real block per real coordinate of a charge (Re and Im alike):
+In the coordinates in which a cell contracts, one block per real coordinate of a charge:
 
     x_q+ = A_q x_q + B_q u_q - gamma_q (I + A_q)/2 C_q^T y_q        f_q = C_q (x_q + x_q+)/2
 

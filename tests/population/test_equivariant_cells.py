@@ -48,7 +48,7 @@ def model(gamma=0.02, seed=0, norm=0.98, sensor=True, field=None, vertices=2):
         A = norm * A / np.linalg.norm(A, 2, axis=(1, 2))[:, None, None]
         B = 0.2 * rng.standard_normal((vertices, m, INPUTS))
         C = 5.0 * rng.standard_normal((sizes[q], m))
-        blocks.append(ChargeBlock(A, B, gamma, C, 1.0 + rng.uniform(size=m)))
+        blocks.append(ChargeBlock(A, B, gamma, C))
     zero = ReadOut(
         0.05 * rng.standard_normal((vertices, ORDERS[1])),
         0.02 * rng.standard_normal((vertices, INPUTS)),
