@@ -8,6 +8,7 @@ tan(theta/2) = tan(theta_0/2) exp(-kappa |p| |d| t), which gives an exact step.
 
 from __future__ import annotations
 
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,7 @@ def exact_step(p: np.ndarray, d: np.ndarray, kappa: float, dt: float) -> np.ndar
     -------
     array (3,), with |p+| = |p| to rounding.
     """
-    length, strength = float(np.linalg.norm(p)), float(np.linalg.norm(d))
+    length, strength = hypot(*p), hypot(*d)  # no square that overflows
     if length == 0.0 or strength == 0.0 or dt == 0.0 or kappa == 0.0:
         return np.array(p, dtype=float)
     p_unit, d_unit = np.asarray(p, float) / length, np.asarray(d, float) / strength
@@ -57,15 +58,15 @@ def exact_step(p: np.ndarray, d: np.ndarray, kappa: float, dt: float) -> np.ndar
     # `across` is orthogonal to d only to rounding; a second pass keeps |p| over long runs.
     across -= (across @ d_unit) * d_unit
     turned = 2.0 * decay * across + (s - decay**2 * r) * d_unit
-    turned *= length / np.linalg.norm(turned)
+    turned /= np.linalg.norm(turned)
     # |turned|^2 - |p|^2 without cancellation: norms rounded alike at every step would add up.
-    excess = float((turned - p) @ (turned + p)) / length**2
-    return turned - 0.5 * excess * turned
+    excess = float((turned - p_unit) @ (turned + p_unit))
+    return length * (turned - 0.5 * excess * turned)
 
 
 def exact_steps(p: np.ndarray, d: np.ndarray, kappa: float, dt: float) -> np.ndarray:
     """`exact_step` for many cells: p, d and the result are (K, 3)."""
-    length, strength = np.sqrt(_dots(p, p)), np.sqrt(_dots(d, d))
+    length, strength = (np.hypot(np.hypot(v[:, 0], v[:, 1]), v[:, 2]) for v in (p, d))
     turns = (length > 0) & (strength > 0)
     if dt == 0.0 or kappa == 0.0 or not turns.any():
         return np.array(p, dtype=float)
@@ -77,9 +78,10 @@ def exact_steps(p: np.ndarray, d: np.ndarray, kappa: float, dt: float) -> np.nda
         across = p_unit - _dots(p_unit, d_unit)[:, None] * d_unit
         across -= _dots(across, d_unit)[:, None] * d_unit
         turned = 2.0 * decay[:, None] * across + (s - decay**2 * r)[:, None] * d_unit
-        turned *= (length / np.sqrt(_dots(turned, turned)))[:, None]
-        excess = _dots(turned - p, turned + p) / length**2
+        turned /= np.sqrt(_dots(turned, turned))[:, None]
+        excess = _dots(turned - p_unit, turned + p_unit)
         turned -= 0.5 * excess[:, None] * turned
+        turned *= length[:, None]
     # p = -d stays where it is, as does what has no length.
     return np.where((turns & (s > 0))[:, None], turned, p)
 

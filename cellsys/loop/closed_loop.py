@@ -186,17 +186,14 @@ class ClosedLoop:
         auxiliaries: bool = False,
     ) -> Trajectory:
         """Run the loop at the times `t` (s); `Exponential` is made for it. No laws are logged."""
-        start = np.concatenate(
-            [
-                self.z0 if z0 is None else np.asarray(z0, float),
-                self.p0 if p0 is None else np.asarray(p0, float),
-            ]
-        )
+        z0 = self.z0 if z0 is None else np.asarray(z0, float)
+        p0 = self.p0 if p0 is None else np.asarray(p0, float)
+        _check_point(z0, p0)
         return simulate(
             self.system,
             integrator,
             t,
-            start,
+            np.concatenate([z0, p0]),
             auxiliaries=auxiliaries,
             label="closed loop, reduced",
             model_error=model_error(self.model),
