@@ -236,3 +236,52 @@ def mapped_rows(folder, shapes):
 def float_of_locale(text):
     """A number read with the decimal mark that a comma may be."""
     return float(text.replace(",", "."))
+
+
+def polarity_by_angle(p, d, kappa, dt):
+    """The exact step by way of the angle from an arccosine: lost within 1e-8 of 0 and pi."""
+    import numpy as np
+
+    a, b = p / np.linalg.norm(p), d / np.linalg.norm(d)
+    theta = np.arccos(np.clip(a @ b, -1, 1))
+    across = a - (a @ b) * b
+    size = np.linalg.norm(across)
+    across = across / size if size > 0 else across
+    new = 2 * np.arctan(np.tan(theta / 2) * np.exp(-kappa * dt))
+    return np.cos(new) * b + np.sin(new) * across
+
+
+def normalised_direction(d):
+    """d/|d| without a look at its length."""
+    import numpy as np
+
+    with np.errstate(all="ignore"):
+        return d / np.linalg.norm(d)
+
+
+def heading_by_quotient(p):
+    """cos and sin of the heading as p_xy / |p_xy|: 0/0 along the normal."""
+    import numpy as np
+
+    with np.errstate(all="ignore"):
+        return p[:2] / np.hypot(p[0], p[1])
+
+
+def unwrapped_table(table, p):
+    """Columns of M_pol by interpolation over 0..359 degrees: beyond 359 it holds the last one."""
+    import numpy as np
+
+    degree = np.degrees(np.arctan2(p[1], p[0]))
+    return np.array([np.interp(degree, np.arange(360), row, left=-row[0]) for row in table])
+
+
+def trigonometric_fit(values, order=2):
+    """A jump by a few harmonics: it overshoots."""
+    import numpy as np
+
+    a = np.radians(np.arange(len(values)))
+    columns = [np.ones_like(a)]
+    for k in range(1, order + 1):
+        columns += [np.cos(k * a), np.sin(k * a)]
+    X = np.column_stack(columns)
+    return X @ np.linalg.lstsq(X, values, rcond=None)[0]
