@@ -41,7 +41,7 @@ def without_commands(m):
 @pytest.mark.parametrize("n", [1, 3])
 def test_storage_never_grows_without_commands(field, n):
     """Midpoint exchange; cells overlap. The rest is the exchange's tolerance times the power."""
-    m = without_commands(with_gain(model(), 0.3))
+    m = without_commands(with_gain(model(), 100.0))
     cells = cs.CellsOnField(m, field, tolerance=1e-9)
     rng = np.random.default_rng(3)
     z = 0.3 * rng.standard_normal((n, m.order))
@@ -56,7 +56,7 @@ def test_storage_never_grows_without_commands(field, n):
 
 def test_lagged_velocity_gains_energy(field):
     """The naive exchange, with the velocity of the step before, breaks the balance."""
-    m = without_commands(with_gain(model(), 40.0))
+    m = without_commands(with_gain(model(), 20000.0))
     cells = cs.CellsOnField(m, field)
     rng = np.random.default_rng(3)
     state = cells.start(np.zeros((1, 2)), 0.3 * rng.standard_normal((1, m.order)))
