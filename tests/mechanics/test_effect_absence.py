@@ -167,7 +167,7 @@ from cellsys.scene import Scene, build
 assert cellsys.__file__.startswith(sys.argv[1]), cellsys.__file__
 for table in {tables!r}:
     run = simulate(build(Scene.parse(table)), LinearlyImplicit(step=0.5), {times!r}, seed=2)
-    parts = [run.x, run.eta, run.u] + ([run.p, run.d] if run.p is not None else [])
+    parts = [a for a in (run.x, run.eta, run.u, run.p, run.d) if a is not None]
     print(hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in parts)).hexdigest())
 """
 
