@@ -16,6 +16,7 @@ from cellsys.errors import DataError, ParameterError
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.reduction.equivariant.dynamics import CellState
 from cellsys.reduction.equivariant.model import EquivariantModel
+from cellsys.reduction.local_sensor import LocalSensor
 from cellsys.reduction.sensor import StiffnessSensor
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
@@ -123,18 +124,23 @@ class ScheduledLoop:
             raise ParameterError(f"at must be a time >= 0 s, got {at!r}")
         run = self.simulate(dt * np.arange(steps + 1))
         point = (run.x[-1, : self.order], run.x[-1, self.order :])
-        return self.frozen(end).linearize(point, slower_than=slower_than)
+        return self.frozen(end, point[0]).linearize(point, slower_than=slower_than)
 
     def open_loop(self, at: Any = None) -> Any:
         """Return ratio at a `Linearisation` or a time; see `ClosedLoop.open_loop`."""
         point = self.linearize(at) if at is None or isinstance(at, (int, float)) else at
         return self.frozen(self.model.horizon).open_loop(point)
 
-    def frozen(self, t: float) -> Any:
-        """`ClosedLoop` on the plant frozen at t, which any integrator can run."""
+    def frozen(self, t: float, z: np.ndarray | None = None) -> Any:
+        """`ClosedLoop` on the plant frozen at t, which any integrator can run.
+
+        A sensor that reads the network is taken linear about z (default: the start).
+        """
         from cellsys.loop.closed_loop import closed_loop
 
-        plain = replace(self.model.at(t), z_start=self.z0)
+        plain, sensor = replace(self.model.at(t), z_start=self.z0), self.sensor
+        if isinstance(sensor, LocalSensor):
+            sensor = sensor.frozen(self.z0 if z is None else z)
         return closed_loop(
-            plain, controller=self.controller, sensor=self.sensor, z0=self.z0, p0=self.p0
+            plain, controller=self.controller, sensor=sensor, z0=self.z0, p0=self.p0
         )

@@ -16,6 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.errors import SceneError
+from cellsys.laws.sensing import nodal_sum
 from cellsys.mechanics.cholesky import SparseCholesky
 from cellsys.mechanics.commands import Commands
 from cellsys.mechanics.effects.matrix import MATRIX, Drag
@@ -239,10 +240,17 @@ class SpreadingSystem(OverdampedSystem):
         return u
 
     def geometry(self) -> dict[str, np.ndarray]:
-        """``matrix.rest`` (N, 3) um and ``matrix.surface``, the nodes that adhesions reach."""
+        """``matrix.rest`` (N, 3) um, ``matrix.surface``, the nodes that adhesions reach, and
+        ``matrix.stiffness`` (N,) pN/um, the sum over the fibres at each node at rest.
+        """
         if self.matrix is None:
             return {}
-        return {"matrix.rest": self.matrix.position, "matrix.surface": self.matrix.surface}
+        disc = self.matrix
+        return {
+            "matrix.rest": disc.position,
+            "matrix.surface": disc.surface,
+            "matrix.stiffness": nodal_sum(len(disc.position), disc.fibres, disc.stiffness),
+        }
 
     def stop_points(self) -> tuple[float, ...]:
         return tuple(sorted({t for e in self.elements for t in e.stop_points()}))

@@ -117,10 +117,10 @@ def fit_sensor(
     total = np.zeros(len(ridges))
     for i in range(len(latent)):
         others = [k for k in range(len(latent)) if k != i] or [i]
-        tried = _ridges([latent[k] for k in others], [directions[k] for k in others], ridges)
+        tried = ridge_maps([latent[k] for k in others], [directions[k] for k in others], ridges)
         total += [angle_error(_predict(K, latent[i]), directions[i]) for K in tried]
     best = ridges[int(np.argmin(total))]
-    K_d = _ridges(latent, directions, (best,))[0]
+    K_d = ridge_maps(latent, directions, (best,))[0]
     mean = np.concatenate(directions).mean(axis=0)
     shown_z, shown_d = (
         (test_latent, test_directions) if test_latent and test_directions else (latent, directions)
@@ -139,7 +139,7 @@ def _predict(K_d: np.ndarray, z: np.ndarray) -> np.ndarray:
     return K_d[:, 0] + z @ K_d[:, 1:].T
 
 
-def _ridges(
+def ridge_maps(
     latent: list[np.ndarray], directions: list[np.ndarray], ridges: tuple[float, ...]
 ) -> list[np.ndarray]:
     """K_d (3, 1 + m) for each penalty ridge * samples: standardised regressors, intercept free.

@@ -112,7 +112,7 @@ def test_report_is_one_self_contained_file(done):
     text = (out / "report.html").read_text(encoding="utf-8")
     parser = Sources()
     parser.feed(text)
-    assert len(parser.found) == 6
+    assert len(parser.found) == 7
     assert all(s.startswith("data:image/png;base64,") for s in parser.found)
     assert not {"script", "link", "iframe"} & set(parser.tags)
     assert "url(" not in text
@@ -138,7 +138,7 @@ def test_names_are_escaped_in_the_report(done, tmp_path):
 def test_progress_names_its_stages(done):
     _, _, stages = done
     assert list(dict.fromkeys(s for s, _ in stages)) == [
-        "full-order runs", "basis", "reduced models", "loop", "report",
+        "full-order runs", "basis", "reduced models", "loop", "equivariant", "report",
     ]  # fmt: skip
     assert all(0 <= share <= 1 for _, share in stages)
     for name in ("full-order runs", "basis", "reduced models", "loop", "report"):

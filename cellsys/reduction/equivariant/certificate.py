@@ -17,6 +17,7 @@ from cellsys.reduction.equivariant.worth import (
     measure,
     representation_error,
 )
+from cellsys.reduction.local_sensor import StiffnessMap, fit_local_sensor
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import Snapshots
 
@@ -96,7 +97,10 @@ def sensor_of(
     test: Snapshots | None,
     held_out: Sequence[CellRecord],
 ) -> StiffnessSensor | None:
-    """The sensor on charges and centroid of one-cell runs that recorded a direction; else None."""
+    """The sensor of one-cell runs that recorded a direction, on the network's own stiffness.
+
+    None where no direction was recorded or a run has several cells.
+    """
     if any(run.d is None or run.d.shape[1] != 1 for run in data.runs):
         return None
 
@@ -108,4 +112,7 @@ def sensor_of(
         )
 
     shown = samples(test, held_out) if test is not None and held_out else (None, None)
-    return fit_sensor(*samples(data, records), *shown)
+    if "matrix.stiffness" not in data.geometry:
+        return fit_sensor(*samples(data, records), *shown)
+    known = StiffnessMap(data.geometry["matrix.rest"][:, :2], data.geometry["matrix.stiffness"])
+    return fit_local_sensor(*samples(data, records), known, *shown)

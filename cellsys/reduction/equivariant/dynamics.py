@@ -19,7 +19,6 @@ import scipy.linalg as sla
 from cellsys.reduction.equivariant.charges import command_features
 from cellsys.reduction.equivariant.schedule import Clock
 
-
 # r(a) = [1; a - 1; (a - 1)^2] = _POWERS [1; a; a^2]
 _POWERS = np.array([[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [1.0, -2.0, 1.0]])
 

@@ -18,6 +18,7 @@ from cellsys.reduction.equivariant.file import read_parts, write_parts
 from cellsys.reduction.equivariant.forecast import ErrorBands, Forecast, ValidityMonitor
 from cellsys.reduction.equivariant.port import PortSites
 from cellsys.reduction.equivariant.representation import CellRepresentation, ChargeModes
+from cellsys.reduction.local_sensor import LocalSensor
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.sensor import StiffnessSensor
 from cellsys.reduction.steps import check_roll_out
@@ -177,10 +178,16 @@ class EquivariantModel(LatentModel):
             dt=dt,
             input_names=self.input_names,
             z_start=self.z_start,
-            sensor=self.sensor,
+            sensor=self._linear_sensor(),
             card=self.card,
             notes={**self.notes, "frozen_at_s": float(t)},
         )
+
+    def _linear_sensor(self) -> StiffnessSensor | None:
+        """The sensor as a plain model can hold it: linear about the start."""
+        if isinstance(self.sensor, LocalSensor) and self.z_start is not None:
+            return self.sensor.frozen(self.z_start)
+        return self.sensor
 
     def labelled_poles(self, t: float | None = None) -> list[Pole]:
         """Continuous poles log(eig A_q)/dt of every charge, frozen at t (default: the end).
