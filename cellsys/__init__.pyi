@@ -36,8 +36,13 @@ from .integrate import (
     ExplicitEuler,
     Exponential,
     LinearlyImplicit,
+    ParametricSystem,
     Radau,
     RungeKutta4,
+    Sensitivities,
+    end_gradient,
+    pole_sensitivities,
+    sensitivities,
     simulate,
     stability_limit,
 )
@@ -48,6 +53,8 @@ from .loop import (
     PolarityLaw,
     Stay,
     closed_loop,
+    loop_copies,
+    parametric_loop,
 )
 from .mechanics.commands import Commands, History
 from .mechanics.crawler import Crawler, CrawlerSystem, build_crawlers

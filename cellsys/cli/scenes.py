@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cellsys.cli.console import Json, Quiet, SceneFile, app, dump, progress_bars
+
+if TYPE_CHECKING:
+    from cellsys.scene import Scene
 
 
 @app.command()
@@ -21,6 +24,12 @@ def run(
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue interrupted runs of the same scene.")
     ] = False,
+    error: Annotated[
+        float | None,
+        typer.Option(
+            "--error", help="Share of the motion that the full-order stepping may miss."
+        ),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -28,10 +37,11 @@ def run(
     from cellsys.study import study
 
     folder = Path("out") / scene.stem if out is None else out
+    plan: Path | Scene = scene if error is None else _within(scene, error)
     with progress_bars(quiet) as progress:
         try:
             result = study(
-                scene, folder, order=order, workers=workers, resume=resume, progress=progress
+                plan, folder, order=order, workers=workers, resume=resume, progress=progress
             )
         except KeyboardInterrupt:
             print("cellsys: interrupted; add --resume to go on from here", file=sys.stderr)
@@ -41,6 +51,24 @@ def run(
         return
     print(result.report())
     print(f"\nreport: {folder / 'report.html'}")
+
+
+def _within(scene: Path, error: float) -> Scene:
+    """The scene with the longest step of its own stepper that keeps the error on other starts."""
+    import dataclasses
+
+    from cellsys.accuracy import budget, by_step
+    from cellsys.accuracy.budget import STEPS
+    from cellsys.errors import ParameterError
+    from cellsys.integrate import LinearlyImplicit
+    from cellsys.scene import load_scene
+
+    plan = load_scene(scene)
+    found = budget(plan, error=error, setups=[by_step(LinearlyImplicit, STEPS)])
+    if not found:
+        raise ParameterError(str(found))
+    print(str(found), file=sys.stderr)
+    return dataclasses.replace(plan, step=found.integrator.step)
 
 
 @app.command()

@@ -5,6 +5,13 @@ from cellsys.integrate.exponential import Exponential
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.rkc import RKC
 from cellsys.integrate.scipy_methods import DOP853, LSODA, Radau
+from cellsys.integrate.sensitivities import (
+    ParametricSystem,
+    Sensitivities,
+    end_gradient,
+    pole_sensitivities,
+    sensitivities,
+)
 from cellsys.integrate.simulate import simulate
 from cellsys.integrate.symbolic import CVODES, IDAS, Collocation, RungeKutta4
 
@@ -18,8 +25,13 @@ __all__ = [
     "ExplicitEuler",
     "Exponential",
     "LinearlyImplicit",
+    "ParametricSystem",
     "Radau",
     "RungeKutta4",
+    "Sensitivities",
+    "end_gradient",
+    "pole_sensitivities",
+    "sensitivities",
     "simulate",
     "stability_limit",
 ]

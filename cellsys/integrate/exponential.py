@@ -105,9 +105,7 @@ class Exponential:
             path = Path([float(t[0])], [], [], [w])
             if T > 1:
                 path = solver.run(float(t[0]), float(t[-1]), spacing(t) or 1.0, w, y)
-                z, y = sample(system, flow, path, t, s, 0.1 * (rtol + atol))
-                for k, (fast, slow) in enumerate(zip(system.fast, system.slow, strict=True)):
-                    x[:, _slice(fast)], x[:, _slice(slow)] = z[k], y[k]
+                sample(system, flow, path, t, s, 0.1 * (rtol + atol), x)
             else:
                 x[0] = x0
         x[0] = x0
@@ -138,12 +136,6 @@ class Exponential:
             u[:, system.fast] = c @ system.B.T + system.b
             u[:, system.slow] = np.diff(x[:, system.slow], axis=0) / np.diff(t)[:, None, None]
         return u
-
-
-def _slice(index: np.ndarray) -> Any:
-    """A slice where the indices are consecutive: numpy copies that without looking them up."""
-    first, last = int(index[0]), int(index[-1])
-    return slice(first, last + 1) if np.array_equal(index, np.arange(first, last + 1)) else index
 
 
 def _nodes(tolerance: float) -> int:

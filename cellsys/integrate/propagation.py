@@ -8,6 +8,7 @@ windows of one length at once, in blocks, so that Python sees about 2 sqrt(n) st
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -15,13 +16,19 @@ from cellsys.integrate.semilinear import Flow, Semilinear
 from cellsys.integrate.windows import Path, grid
 
 FEWEST = 16  # pieces of a window
-_GAUSS = (4, 6, 8, 10)
+_GAUSS = (2, 3, 4, 6, 8, 10)
 
 
 def sample(
-    system: Semilinear, flow: Flow, path: Path, t: np.ndarray, s: int, tolerance: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """z (cells, T, m) and y (cells, T, n_y) at the times t, inside the windows of `path`.
+    system: Semilinear,
+    flow: Flow,
+    path: Path,
+    t: np.ndarray,
+    s: int,
+    tolerance: float,
+    x: np.ndarray,
+) -> None:
+    """Write the states at the times t, inside the windows of `path`, into x (T, n).
 
     Parameters
     ----------
@@ -30,25 +37,33 @@ def sample(
     tolerance : float
         Commands are interpolated on a piece to this share of a command.
     """
-    edges, cells = np.array(path.edges), len(path.w[0])
+    edges = np.array(path.edges)
     # Cells first: a cell's windows and their pieces then lie one behind the other.
     Y, W = np.stack(path.y, axis=1), np.stack(path.w, axis=1)
     owner = np.clip(np.searchsorted(edges, t, side="left") - 1, 0, len(path.y) - 1)
-    out_w = np.empty((cells, len(t), W.shape[2]), dtype=W.dtype)
-    out_y = np.empty((cells, len(t), Y.shape[3]))
     lengths, unit = np.array(path.lengths), spacing(t)
     starts = t == edges[0]
-    out_w[:, starts], out_y[:, starts] = W[:, :1], Y[:, 0, :1]
+    places = [
+        (_slice(fast), _slice(slow)) for fast, slow in zip(system.fast, system.slow, strict=True)
+    ]
     for h in np.unique(lengths):
         windows = np.flatnonzero(lengths == h)
         mine = np.flatnonzero((lengths[owner] == h) & ~starts)
         if mine.size:
             group = _Group(system, flow, s, float(h), _pieces(h, unit), tolerance)
             which = np.searchsorted(windows, owner[mine])
-            out_w[:, mine], out_y[:, mine] = group.fill(
-                Y[:, windows], W[:, windows], which, t[mine] - edges[owner[mine]]
-            )
-    return flow.read(out_w), out_y
+            w, y = group.fill(Y[:, windows], W[:, windows], which, t[mine] - edges[owner[mine]])
+            rows = _slice(mine)
+            for k, (fast, slow) in enumerate(places):
+                at = (rows, fast) if isinstance(fast, slice) else np.ix_(mine, fast)
+                x[at] = flow.read(w[k])
+                x[(rows, slow) if isinstance(slow, slice) else np.ix_(mine, slow)] = y[k]
+
+
+def _slice(index: np.ndarray) -> Any:
+    """A slice where indices are consecutive: numpy copies that without looking them up."""
+    first, last = int(index[0]), int(index[-1])
+    return slice(first, last + 1) if last - first == len(index) - 1 else index
 
 
 def spacing(t: np.ndarray) -> float | None:
@@ -105,20 +120,25 @@ class _Group:
                 break
         F = flow.response(flow.interval(np.float64(piece), nodes), C)
         states = _recursion(flow, piece, W, F.reshape(cells, G, n, -1))
-        # The start of each window stands before its pieces.
-        states = np.concatenate([W[:, :, None], states], axis=2).reshape(cells, G * (n + 1), -1)
+        states = states.reshape(cells, G * n, -1)
         j = np.minimum(np.floor(offset / piece + 1e-7).astype(int), n)
         left = offset - j * piece
-        found = states[:, window * (n + 1) + j]
+        # Samples share their place in the window with many others.
+        place, back = np.unique(np.round(offset / self.h, 12), return_inverse=True)
+        values = np.ascontiguousarray(self._values(np.clip(place, 0.0, 1.0), Y))
+        values = values.reshape(cells, G * len(place), -1)
+        index = window * n + j - 1
+        if len(index) == G * n and np.array_equal(index, np.arange(G * n)):
+            # A sample at the end of every piece: nothing to look up.
+            return states, values
+        found = states[:, index]
+        early = np.flatnonzero(j == 0)
+        found[:, early] = W[:, window[early]]
         late = np.flatnonzero(left > 1e-7 * piece)
         if late.size:
             found[:, late] = self._remainder(
                 nodes, Y[:, window[late]], found[:, late], (j * piece)[late], left[late]
             )
-        # Samples share their place in the window with many others.
-        place, back = np.unique(np.round(offset / self.h, 12), return_inverse=True)
-        values = np.ascontiguousarray(self._values(np.clip(place, 0.0, 1.0), Y))
-        values = values.reshape(cells, G * len(place), -1)
         return found, values[:, window * len(place) + back]
 
     def _remainder(

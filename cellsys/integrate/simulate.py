@@ -38,6 +38,7 @@ class _Memory:
                 f"this run needs {need / 1e9:.1f} GB of memory and {free / 1e9:.1f} GB are free; "
                 "sample less often, shorten the run, or record it without auxiliaries"
             )
+        # Zeros of the system cost nothing until they are written.
         self.arrays = {name: np.zeros(shape) for name, shape in shapes.items()}
 
     def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
@@ -330,7 +331,10 @@ def _record_solution(
     system: OdeSystem, solution: Any, t: np.ndarray, rows: Sink, auxiliaries: bool
 ) -> tuple[dict[str, Any], tuple[Event, ...]]:
     arrays, x = rows.arrays, solution.x
-    arrays["x"][:] = x
+    if isinstance(rows, _Memory):
+        arrays["x"] = x  # no second copy
+    else:
+        arrays["x"][:] = x
     together = getattr(system, "observe_rows", None)
     if together is not None:
         for name, values in together(t, x).items():

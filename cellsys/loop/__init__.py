@@ -2,6 +2,7 @@
 
 from cellsys.loop.closed_loop import ClosedLoop, Linearisation, closed_loop
 from cellsys.loop.input_map import MPol
+from cellsys.loop.loop_system import loop_copies, parametric_loop
 from cellsys.loop.polarity import Perturb, PolarityLaw, Stay
 from cellsys.reduction.sensor import StiffnessSensor
 
@@ -14,4 +15,6 @@ __all__ = [
     "Stay",
     "StiffnessSensor",
     "closed_loop",
+    "loop_copies",
+    "parametric_loop",
 ]

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
+from cellsys.errors import DimensionError
 from cellsys.integrate.semilinear import Semilinear
+from cellsys.integrate.sensitivities import ParametricSystem
+from cellsys.laws.arrays import operations
 from cellsys.laws.polarity import heading_rows, rate_rows
-from cellsys.system import OdeSystem
+from cellsys.laws.polarity import rate as polarity_rate
+from cellsys.system import Block, Layout, OdeSystem
 
 _NAMES = ("cos", "sin", "cos2", "sin2", "amplitude")
 
@@ -77,3 +83,100 @@ def model_error(model: Any) -> dict[str, float]:
         return {}
     rows, where = (card.held_out, "held out") if card.held_out else (card.training, "in training")
     return {f"{block}, {where}": float(row["model"]) for block, row in rows.items()}
+
+
+class LoopCopies(OdeSystem):
+    """Cells that do not feel each other: states [z_1 .. z_K; p_1 .. p_K] of one loop.
+
+    Built by `loop_copies`. Printed superposition (thesis eq. 36) is this up to an output mixing.
+    """
+
+    loop: Any
+    cells: int
+
+    def u(self, t: float, x: np.ndarray) -> np.ndarray:
+        form, m = self.loop.semilinear, self.loop.order
+        z, p = x[: self.cells * m].reshape(self.cells, m), x[self.cells * m :].reshape(-1, 3)
+        out = np.empty_like(x)
+        out[: z.size] = (form.commands(p) @ form.B.T + form.b).ravel()
+        out[z.size :] = form.rate(p, form.s + z @ form.S.T).ravel()
+        return out
+
+    def rhs(self, t: float, x: np.ndarray) -> np.ndarray:
+        """dx/dt, one product for all cells instead of a block-diagonal matrix."""
+        size = self.cells * self.loop.order
+        out = self.u(t, x)
+        out[:size] += (x[:size].reshape(self.cells, -1) @ self.loop.semilinear.A.T).ravel()
+        return out
+
+    def observe(self, t: float, x: np.ndarray) -> dict[str, np.ndarray]:
+        return {k: v[0] for k, v in self.observe_rows(np.array([t]), x[None]).items()}
+
+    def observe_rows(self, t: np.ndarray, x: np.ndarray) -> dict[str, np.ndarray]:
+        """`observe` for all samples of a run."""
+        size = self.cells * self.loop.order
+        z = x[:, :size].reshape(len(x), self.cells, -1)
+        p = x[:, size:].reshape(len(x), self.cells, 3)
+        return {"p": p.copy(), "d": sensed_rows(self.loop, z)}
+
+    def semilinear(self) -> Semilinear:
+        """One linear plant and one slow heading for each cell."""
+        form, m, K = self.loop.semilinear, self.loop.order, self.cells
+        kept = self.__dict__.get("_form")
+        if kept is None:
+            kept = replace(
+                form,
+                fast=np.arange(K * m).reshape(K, m),
+                slow=K * m + np.arange(3 * K).reshape(K, 3),
+            )
+            # The factorisation of the plant does not depend on the number of cells.
+            kept.__dict__["modal"], kept.__dict__["tables"] = form.modal, form.tables
+            self.__dict__["_form"] = kept
+        return kept
+
+
+def loop_copies(loop: Any, z0: np.ndarray, p0: np.ndarray) -> LoopCopies:
+    """The system of K cells with one loop each, from z0 (K, m) and p0 (K, 3).
+
+    Raises
+    ------
+    DimensionError
+        When z0 and p0 do not fit the loop.
+    """
+    z0, p0 = np.asarray(z0, dtype=float), np.asarray(p0, dtype=float)
+    K, m = len(z0), loop.order
+    if z0.shape != (K, m) or p0.shape != (K, 3) or not K:
+        raise DimensionError(f"z0 must be (K, {m}) and p0 (K, 3), got {z0.shape}, {p0.shape}")
+    A = loop.model.continuous_matrices()[0]
+    system = LoopCopies(
+        states=Layout([Block("z", (K, m)), Block("p", (K, 3), "1", "controller", "internal")]),
+        x0=np.concatenate([z0.ravel(), p0.ravel()]),
+        W_x=sp.block_diag([*[A] * K, sp.csr_array((3 * K, 3 * K))], format="csr"),
+    )
+    system.__dict__["loop"], system.__dict__["cells"] = loop, K
+    return system
+
+
+def parametric_loop(loop: Any) -> ParametricSystem:
+    """The loop with its gain `kappa` (1/s) and a factor `force` on its commands as parameters.
+
+    For `cs.sensitivities`: d trajectory/d kappa, d trajectory/d force.
+    """
+    A, B, b = loop.model.continuous_matrices()
+    m = loop.order
+
+    def rate(t: Any, x: Any, p: Any) -> Any:
+        z, heading = x[:m], x[m:]
+        turn = polarity_rate(heading, loop.sensed(z), p["kappa"])
+        push = p["force"] * (B @ loop.commands(heading)) + b
+        return operations(x).concatenate([push, turn])
+
+    W = np.zeros((m + 3, m + 3))
+    W[:m, :m] = A
+    return ParametricSystem(
+        states=loop.system.states,
+        x0=loop.system.x0,
+        W_x=W,
+        rate=rate,
+        parameters={"kappa": loop.controller.kappa, "force": 1.0},
+    )

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from cellsys.errors import IntegrationError, ParameterError
 from cellsys.integrate import CVODES, DOP853, Exponential, simulate
 from cellsys.integrate.semilinear import phi
-from cellsys.loop import PolarityLaw, closed_loop
+from cellsys.loop import PolarityLaw, closed_loop, loop_copies
 from cellsys.reduction import LatentModel, StiffnessSensor
 from tests.integrate.toys import scalar
 from tests.loop.systems import NAMES, heading, make
@@ -219,3 +219,29 @@ def test_constant_direction_in_closed_form():
     np.testing.assert_allclose(
         np.tan(angle / 2), np.tan(1.25) * np.exp(-0.05 * t), rtol=1e-6, atol=1e-9
     )
+
+
+def test_ten_cells_are_ten_loops():
+    """Copies of a loop from different starts: each follows its own run."""
+    loop = make(3, m=8, gain=0.3)
+    rng = np.random.default_rng(1)
+    angles = rng.uniform(-np.pi, np.pi, 10)
+    z0 = rng.standard_normal((10, 8))
+    p0 = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(10)])
+    t = np.arange(0.0, 101.0, 2.0)
+    system = loop_copies(loop, z0, p0)
+    run = simulate(system, TIGHT, t)
+    z, p = run.block("z"), run.block("p")
+    assert run.residual_share()["z"] < 1
+    for k in range(10):
+        one = loop.simulate(t, TIGHT, z0=z0[k], p0=p0[k])
+        np.testing.assert_allclose(z[:, k], one.x[:, :8], atol=1e-7)
+        np.testing.assert_allclose(p[:, k], one.x[:, 8:], atol=1e-7)
+    np.testing.assert_allclose(run.d[:, 4], one_d(loop, z[:, 4]), atol=1e-12)
+    np.testing.assert_allclose(
+        system.rhs(0.0, system.x0), system.W_x @ system.x0 + system.u(0.0, system.x0), atol=1e-12
+    )
+
+
+def one_d(loop, z):
+    return np.array([loop.sensed(row) for row in z])
