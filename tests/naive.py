@@ -285,3 +285,27 @@ def trigonometric_fit(values, order=2):
         columns += [np.cos(k * a), np.sin(k * a)]
     X = np.column_stack(columns)
     return X @ np.linalg.lstsq(X, values, rcond=None)[0]
+
+
+def unbalanced_poles(A):
+    """Eigenvalues by plain QR of a matrix whose states have units far apart."""
+    import numpy as np
+    import scipy.linalg as sla
+
+    return sla.schur(np.asarray(A), output="complex")[0].diagonal()
+
+
+def polynomial_response(A, B, C, D, omega):
+    """G(j w) by way of numerator and denominator polynomials."""
+    import numpy as np
+    from scipy.signal import ss2tf
+
+    num, den = ss2tf(A, B, C, D)
+    return complex(np.polyval(num[0], 1j * omega) / np.polyval(den, 1j * omega))
+
+
+def distinct_poles(A, digits=8):
+    """How many poles differ after rounding: copies of a defective pole come out as many."""
+    import numpy as np
+
+    return len(np.unique(np.round(np.linalg.eigvals(A), digits)))
