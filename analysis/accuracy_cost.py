@@ -1,0 +1,286 @@
+"""What accuracy costs in time: one page of tables and work-precision figures.
+
+    python analysis/accuracy_cost.py [--quick] [--out DIR]
+
+Writes accuracy_cost.html, and CSV, JSON and PNG of every sweep. Latent loops are random stable
+ones of the order asked for (a reduced model of a scene has no other structure); full-order runs
+are of examples/spreading.toml, crawlers of examples/crawler.toml. Peers are called directly.
+"""
+
+import argparse
+import dataclasses
+import html
+import time
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import scipy.linalg as sla
+
+import cellsys as cs
+from cellsys.accuracy import input_output_response, solve_ivp_peer
+
+HERE = Path(__file__).resolve().parent
+NAMES = ("cell1.cos", "cell1.sin", "cell1.cos2", "cell1.sin2")
+TOLERANCES = [10.0**-k for k in range(1, 10)]
+
+
+def latent_loop(m, seed=3):
+    """A stable plant with rates 0.02 .. 0.2 1/s, steered by the heading that it is sensed by."""
+    rng = np.random.default_rng(seed)
+    rates = -np.geomspace(0.02, 0.2, m)
+    turn = np.zeros(m - 1)
+    turn[::2] = 0.03 * rng.random(len(turn[::2]))
+    mix = sla.qr(rng.standard_normal((m, m)))[0] + 0.1 * rng.standard_normal((m, m))
+    A = mix @ (np.diag(rates) + np.diag(turn, 1) - np.diag(turn, -1)) @ sla.solve(mix, np.eye(m))
+    K_d = rng.standard_normal((3, 1 + m))
+    K_d[:, 1:] *= 0.1
+    K_d[2] = 0.0
+    model = cs.LatentModel(
+        A,
+        B=0.1 * rng.standard_normal((m, 4)),
+        offset=0.02 * rng.standard_normal(m),
+        input_names=NAMES,
+    )
+    return cs.closed_loop(model, sensor=cs.loop.StiffnessSensor(K_d), z0=rng.standard_normal(m))
+
+
+def cells_problem(loop, cells, t):
+    """`cells` copies of a loop from other headings."""
+    rng = np.random.default_rng(0)
+    angle = rng.uniform(-np.pi, np.pi, cells)
+    z0 = loop.z0 + 0.1 * rng.standard_normal((cells, loop.order))
+    p0 = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    name = f"closed loop, m = {loop.order}, {cells} cell{'s' * (cells > 1)}"
+    return cs.CostProblem(name, cs.loop_copies(loop, z0, p0), t)
+
+
+def loop_sweep(loop, cells, t, tolerances, repeats):
+    """Our Exponential against every peer on `cells` closed loops."""
+    problem = cells_problem(loop, cells, t)
+    setups = [cs.by_tolerance(cs.Exponential, tolerances)]
+    peers = ["RK45", "DOP853", "LSODA", "BDF"] if cells == 1 else ["RK45", "DOP853"]
+    setups += [solve_ivp_peer(name, tolerances) for name in peers]
+    setups.append(input_output_response(tolerances))
+    if cells == 1:
+        symbolic = dataclasses.replace(problem, system=loop.system)
+        z, p = problem.start[: loop.order], problem.start[loop.order :]
+        start = np.concatenate([z, p])
+        cvodes = cs.by_tolerance(cs.CVODES, tolerances)
+        setups.append(
+            dataclasses.replace(
+                cvodes,
+                solve=lambda _, tol: cvodes.solve(dataclasses.replace(symbolic, x0=start), tol),
+            )
+        )
+    references = (cs.by_tolerance(cs.Exponential, [1e-12]), solve_ivp_peer("DOP853", [1e-12]))
+    return cs.work_precision(setups, problem, references, repeats=repeats)
+
+
+def who_is_cheapest(sweep):
+    """Rows: error asked, our cheapest, the cheapest peer, ratio."""
+    rows = []
+    for k in range(1, 9):
+        own, all_of = sweep.cheapest(10.0**-k, own=True), sweep.cheapest(10.0**-k, own=False)
+        if own and all_of:
+            rows.append(
+                [f"1e-{k}", f"{own.setup} {1e3 * own.seconds:.1f} ms",
+                 f"{all_of.setup} {1e3 * all_of.seconds:.1f} ms",
+                 f"{all_of.seconds / own.seconds:.2f}x"]
+            )  # fmt: skip
+    return rows
+
+
+def crawler_sweep(end, repeats):
+    """Event-driven crawler: integrators that find events."""
+    scene = cs.load_scene(HERE.parent / "examples" / "crawler.toml")
+    problem = cs.CostProblem("crawler", cs.build(scene), np.linspace(0.0, end, 41))
+    setups = [cs.by_tolerance(m, [1e-3, 1e-5, 1e-7, 1e-9]) for m in (cs.LSODA, cs.DOP853, cs.Radau)]
+    references = cs.by_tolerance(cs.LSODA, [1e-12]), cs.by_tolerance(cs.DOP853, [1e-12])
+    return cs.work_precision(setups, problem, references, repeats=repeats, agree=1e-6)
+
+
+def full_order_sweep(scene, end, name, repeats=1):
+    """The full-order model: our two steppers over their settings, explicit Euler as reference."""
+    t = np.linspace(0.0, end, 3)
+    problem = cs.CostProblem(name, cs.build(scene), t)
+    limit = cs.stability_limit(problem.system)
+    setups = [
+        cs.by_step(cs.LinearlyImplicit, [1.0, 0.5, 0.25]),
+        cs.by_tolerance(cs.RKC, [1e-2, 1e-4, 1e-5, 1e-6]),
+    ]
+    references = cs.by_tolerance(cs.RKC, [1e-8]), cs.by_step(cs.ExplicitEuler, [0.9 * limit])
+    return cs.work_precision(
+        setups, problem, references, error="motion", repeats=repeats, agree=0.01
+    )
+
+
+def best_of(n, action):
+    """Fastest of n, s, after a warm-up."""
+    action()
+    times = []
+    for _ in range(n):
+        began = time.perf_counter()
+        action()
+        times.append(time.perf_counter() - began)
+    return min(times)
+
+
+def orders(t, sizes, repeats):
+    """Time of a closed loop against its order."""
+    rows = []
+    for m in sizes:
+        loop = latent_loop(m)
+        method = cs.Exponential(rtol=1e-6, atol=1e-6)
+        seconds = best_of(repeats, lambda loop=loop, method=method: loop.simulate(t, method))
+        rows.append([str(m), f"{1e3 * seconds:.1f} ms", f"{loop.simulate(t, method).error}"])
+    return rows
+
+
+def intervals(loop, end, spacings, repeats):
+    """Time of a closed loop against the interval of its samples."""
+    method = cs.Exponential(rtol=1e-6, atol=1e-6)
+    rows = []
+    for dt in spacings:
+        t = np.arange(0.0, end + 0.5 * dt, dt)
+        seconds = best_of(repeats, lambda t=t: loop.simulate(t, method))
+        rows.append([f"{dt:g} s", str(len(t)), f"{1e3 * seconds:.1f} ms"])
+    return rows
+
+
+def couplings(counts, m, repeats):
+    """Poles of K coupled cells: by modes and by the dense matrix."""
+    loop = latent_loop(m)
+    rng = np.random.default_rng(1)
+    V = sla.qr(rng.standard_normal((3 * m, m)), mode="economic")[0]
+    model = cs.LatentModel(
+        loop.model.A, V=V, n_states=3 * m,
+        blocks={"component": np.arange(m), "field": np.arange(m, 3 * m)},
+    )  # fmt: skip
+    rows = []
+    for K in counts:
+        by_modes = best_of(repeats, lambda K=K: cs.couple(model, K, cs.Superposition()).poles())
+        size = K * m
+        dense = "-"
+        if size <= 600:
+            A = sla.block_diag(*[loop.model.A] * K)
+            dense = f"{1e3 * best_of(1, lambda A=A: sla.eigvals(A)):.1f} ms"
+        rows.append([str(K), f"{1e3 * by_modes:.1f} ms", dense])
+    return rows
+
+
+def choices(scene, end):
+    """Cost of a simulated second with effects on and off, and of switching against clutch."""
+    variants = {"as it is (clutch)": scene}
+    effects = dict(scene.effects)
+    for name in ("lamellipodium", "cortical_tension"):
+        if name in effects:
+            less = {k: v for k, v in effects.items() if k != name}
+            variants[f"without {name}"] = dataclasses.replace(scene, effects=less)
+    rows = []
+    for name, variant in variants.items():
+        system, method = cs.build(variant), cs.LinearlyImplicit(step=0.5)
+        t = np.array([0.0, end])
+        seconds = best_of(1, lambda s=system: cs.simulate(s, method, t, auxiliaries=False))
+        rows.append([name, f"{1e3 * seconds / end:.1f} ms per s"])
+    return rows
+
+
+def table_4(scene, end, t):
+    """Thesis Table 4: two cells, 20 and 100 latent variables, against our own full-order run."""
+    rows = []
+    for m in (20, 100):
+        problem = cells_problem(latent_loop(m), 2, t)
+        method = cs.Exponential(rtol=1e-4, atol=1e-4)
+        action = lambda p=problem: cs.simulate(p.system, method, t, auxiliaries=False)  # noqa: E731
+        rows.append([f"{m} latent variables", f"{best_of(2, action):.3f} s"])
+    system = cs.build(scene)
+    short = np.array([0.0, end])
+    for method in (cs.RKC(rtol=1e-4, atol=1e-4), cs.LinearlyImplicit(step=0.5)):
+        seconds = best_of(1, lambda m=method: cs.simulate(system, m, short, auxiliaries=False))
+        rows.append(
+            [f"full order, {type(method).__name__}",
+             f"{seconds * (t[-1] - t[0]) / end:.0f} s ({end:g} s run, scaled)"]
+        )  # fmt: skip
+    return rows
+
+
+class Page:
+    """One HTML page, printed as it grows."""
+
+    def __init__(self, folder):
+        self.folder, self.parts = folder, []
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def table(self, title, head, rows):
+        print(f"\n{title}")
+        for row in [head, *rows]:
+            print("  " + "  ".join(f"{cell:>24s}" for cell in row))
+        cells = "".join(
+            "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>"
+            for row in [head, *rows]
+        )
+        self.parts.append(f"<h2>{html.escape(title)}</h2><table>{cells}</table>")
+
+    def sweep(self, sweep):
+        print(f"\n{sweep}")
+        source, _ = sweep.save(self.folder)
+        figure = sweep.plot()[0].figure
+        figure.savefig(source.with_suffix(".png"), dpi=110)
+        plt.close(figure)
+        rows = "".join(
+            "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>"
+            for row in sweep.table()
+        )
+        self.parts.append(
+            f"<h2>{html.escape(sweep.problem)}</h2><img src='{source.stem}.png'>"
+            f"<table>{rows}</table>"
+        )
+        head = ["error", "ours", "cheapest peer", "peer/ours"]
+        if any(p.own for p in sweep.points) and any(not p.own for p in sweep.points):
+            self.table(f"{sweep.problem}: who is cheapest", head, who_is_cheapest(sweep))
+
+    def write(self):
+        style = "<style>body{font-family:sans-serif}td{padding:2px 10px}</style>"
+        text = f"<!doctype html><title>What accuracy costs</title>{style}{''.join(self.parts)}"
+        (self.folder / "accuracy_cost.html").write_text(text, encoding="utf-8")
+        print(f"\npage: {self.folder / 'accuracy_cost.html'}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--out", type=Path, default=Path("out/accuracy_cost"))
+    given = parser.parse_args()
+    quick = given.quick
+    page = Page(given.out)
+    m, end, repeats = (20, 300.0, 1) if quick else (100, 3000.0, 5)
+    t, tolerances = np.arange(0.0, end + 1.0), TOLERANCES[1:8:3] if quick else TOLERANCES
+    loop = latent_loop(m)
+    for cells in (1, 10):
+        page.sweep(loop_sweep(loop, cells, t, tolerances, repeats))
+    page.table(
+        "closed loop against its order", ["m", "time", "error estimate"],
+        orders(t, [5, 20] if quick else [5, 20, 50, 100, 200], repeats),
+    )  # fmt: skip
+    page.table(
+        "closed loop against the interval of its samples", ["interval", "samples", "time"],
+        intervals(loop, end, [1.0, 10.0] if quick else [0.1, 1.0, 10.0, 100.0], repeats),
+    )  # fmt: skip
+    page.table(
+        "poles of K cells", ["K", "by modes", "dense"],
+        couplings([2, 10] if quick else [2, 10, 100, 1000], 10 if quick else 20, repeats),
+    )  # fmt: skip
+    page.sweep(crawler_sweep(1.0 if quick else 12.0, 1))
+    scene = cs.load_scene(HERE.parent / "examples" / "spreading.toml")
+    if not quick:
+        page.sweep(full_order_sweep(scene, 10.0, "full order, spreading"))
+        pair = cs.load_scene(HERE.parent / "examples" / "two_cells.toml")
+        page.table("Table 4: two cells, 1500 s", ["model", "time"],
+                   table_4(pair, 5.0, np.arange(0.0, 1501.0)))  # fmt: skip
+        page.table("effects on and off", ["scene", "time"], choices(scene, 5.0))
+    page.write()
+
+
+if __name__ == "__main__":
+    main()
