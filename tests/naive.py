@@ -309,3 +309,28 @@ def distinct_poles(A, digits=8):
     import numpy as np
 
     return len(np.unique(np.round(np.linalg.eigvals(A), digits)))
+
+
+def covariance_basis(X, order):
+    """Leading directions as eigenvectors of the covariance: the condition number is squared."""
+    import numpy as np
+
+    centred = X - X.mean(axis=0)
+    return np.linalg.eigh(centred.T @ centred)[1][:, ::-1][:, :order]
+
+
+def normal_equation_poles(runs, dt):
+    """Poles of x+ = x K from the normal equations, K = inv(X^T X) X^T Y, units as they come."""
+    import numpy as np
+
+    X, Y = (np.concatenate([r[a : len(r) - 1 + a] for r in runs]) for a in (0, 1))
+    K = np.linalg.pinv(X.T @ X) @ (X.T @ Y)
+    with np.errstate(all="ignore"):
+        return np.log(np.linalg.eigvals(K).astype(complex)) / dt
+
+
+def fitted_without_a_look(x):
+    """A step matrix from however few samples."""
+    import numpy as np
+
+    return np.linalg.lstsq(x[:-1], x[1:], rcond=None)[0].T
