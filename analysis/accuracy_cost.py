@@ -11,6 +11,7 @@ import argparse
 import dataclasses
 import html
 import time
+from functools import partial
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -132,7 +133,7 @@ def orders(t, sizes, repeats):
     for m in sizes:
         loop = latent_loop(m)
         method = cs.Exponential(rtol=1e-6, atol=1e-6)
-        seconds = best_of(repeats, lambda loop=loop, method=method: loop.simulate(t, method))
+        seconds = best_of(repeats, partial(loop.simulate, t, method))
         rows.append([str(m), f"{1e3 * seconds:.1f} ms", f"{loop.simulate(t, method).error}"])
     return rows
 
@@ -143,7 +144,7 @@ def intervals(loop, end, spacings, repeats):
     rows = []
     for dt in spacings:
         t = np.arange(0.0, end + 0.5 * dt, dt)
-        seconds = best_of(repeats, lambda t=t: loop.simulate(t, method))
+        seconds = best_of(repeats, partial(loop.simulate, t, method))
         rows.append([f"{dt:g} s", str(len(t)), f"{1e3 * seconds:.1f} ms"])
     return rows
 
@@ -181,7 +182,7 @@ def choices(scene, end):
     for name, variant in variants.items():
         system, method = cs.build(variant), cs.LinearlyImplicit(step=0.5)
         t = np.array([0.0, end])
-        seconds = best_of(1, lambda s=system: cs.simulate(s, method, t, auxiliaries=False))
+        seconds = best_of(1, partial(cs.simulate, system, method, t, auxiliaries=False))
         rows.append([name, f"{1e3 * seconds / end:.1f} ms per s"])
     return rows
 
@@ -192,12 +193,12 @@ def table_4(scene, end, t):
     for m in (20, 100):
         problem = cells_problem(latent_loop(m), 2, t)
         method = cs.Exponential(rtol=1e-4, atol=1e-4)
-        action = lambda p=problem: cs.simulate(p.system, method, t, auxiliaries=False)  # noqa: E731
+        action = partial(cs.simulate, problem.system, method, t, auxiliaries=False)
         rows.append([f"{m} latent variables", f"{best_of(2, action):.3f} s"])
     system = cs.build(scene)
     short = np.array([0.0, end])
     for method in (cs.RKC(rtol=1e-4, atol=1e-4), cs.LinearlyImplicit(step=0.5)):
-        seconds = best_of(1, lambda m=method: cs.simulate(system, m, short, auxiliaries=False))
+        seconds = best_of(1, partial(cs.simulate, system, method, short, auxiliaries=False))
         rows.append(
             [f"full order, {type(method).__name__}",
              f"{seconds * (t[-1] - t[0]) / end:.0f} s ({end:g} s run, scaled)"]
