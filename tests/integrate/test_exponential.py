@@ -169,12 +169,12 @@ def covered(seeds, method):
     for seed in seeds:
         loop = random_loop(seed)
         reference = loop.simulate(t, Exponential(rtol=1e-11, atol=1e-11)).x
-        other = solved(loop, t, 1e-10)
+        other = solved(loop, t, 3e-12)
         run = loop.simulate(t, method)
         # Two references by different methods: what they disagree on is not counted as error.
         doubt = np.abs(reference - other).max()
         true = np.abs(run.x - other).max()
-        if true < 30 * doubt:
+        if true < 10 * doubt:
             continue
         ratios.append(run.error.absolute.max() / true)
     return np.array(ratios)
