@@ -326,7 +326,7 @@ def test_run_writes_a_study_and_prints_its_verdict(call, tmp_path):
     (tmp_path / "s.toml").write_text(TINY)
     code, out, err = call("run", "s.toml", "--order", 4, "--workers", 1)
     assert (code, err) == (0, "")
-    assert "What this model can be trusted for" in out
+    assert "What these models can be trusted for" in out
     folder = tmp_path / "out" / "s"
     assert (folder / "report.html").exists()
     code, out, err = call("run", "s.toml", "--order", 4, "--workers", 1, "--json", "--quiet")

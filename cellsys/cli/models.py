@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 def reduce(
     runs: Annotated[list[Path], typer.Argument(help="Run folders, .npz or .csv files.")],
     order: Annotated[int, typer.Option(help="Order m of the model.")],
-    method: Annotated[str, typer.Option(help="PCR or LeastSquares.")] = "PCR",
+    method: Annotated[
+        str, typer.Option(help="PCR, LeastSquares, Contractive or Equivariant.")
+    ] = "PCR",
     dt: Annotated[float | None, typer.Option(help="Sampling interval in s.")] = None,
     out: Annotated[Path, typer.Option("-o", "--out", help="Model file to write.")] = Path(
         "model.npz"
@@ -26,11 +28,12 @@ def reduce(
 ) -> None:
     """Learn a reduced model from runs."""
     from cellsys.errors import ParameterError
-    from cellsys.reduction import PCR, LeastSquares, snapshots
+    from cellsys.reduction import PCR, Contractive, Equivariant, LeastSquares, snapshots
     from cellsys.reduction import reduce as learn
     from cellsys.scene.ensemble import read_run
 
-    methods = {"PCR": PCR(), "LeastSquares": LeastSquares()}
+    known = (PCR, LeastSquares, Contractive, Equivariant)
+    methods = {kind.__name__: kind() for kind in known}
     if method not in methods:
         raise ParameterError(f"--method must be one of {', '.join(methods)}, got {method!r}")
     data = snapshots([read_run(r) if r.is_dir() else r for r in runs], dt=dt)
@@ -52,15 +55,26 @@ def _load(path: Path) -> LatentModel:
 @app.command()
 def poles(model: ModelFile, as_json: Json = False) -> None:
     """Poles of a model: frequency, damping, time constant."""
+    from cellsys.reduction import EquivariantModel
     from cellsys.response import damping
     from cellsys.study.run import plant_of
 
     loaded = _load(model)
     table = damping(plant_of(loaded))
+    labelled = loaded.labelled_poles() if isinstance(loaded, EquivariantModel) else []
     if as_json:
-        dump({"poles": [[p.real, p.imag] for p in table.poles], "verdict": _verdict(loaded)})
+        result = {"poles": [[p.real, p.imag] for p in table.poles], "verdict": _verdict(loaded)}
+        if labelled:
+            result["charges"] = [[p.value.real, p.value.imag, p.charge] for p in labelled]
+        dump(result)
         return
     print(table)
+    for pole in labelled[:12]:
+        value = pole.value
+        print(
+            f"charge {pole.charge}: {value.real: .4g} {value.imag:+.4g}j 1/s, "
+            f"{'single' if pole.multiplicity == 1 else 'double by symmetry'}"
+        )
     print(_verdict(loaded))
 
 

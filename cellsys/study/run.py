@@ -191,9 +191,10 @@ def study(
     system = build(scene)
     magnitudes = summary_of_run(main, system.matrix.position)
     plant_report = stability(plant_of(model))
-    trust = f"What this model can be trusted for: {model.card.verdict}"
+    trust = f"PCR: {model.card.verdict}"
     if charges.model is not None:
-        trust += f" The equivariant model: {charges.model.card.verdict}"
+        trust = f"the equivariant model: {charges.model.card.verdict} {trust}"
+    trust = f"What these models can be trusted for: {trust}"
     summary = {
         "scene": scene.name,
         "fingerprint": scene.fingerprint(),

@@ -83,7 +83,8 @@ def test_summary_is_strict_json_and_says_what_the_model_is_worth(done):
     table = json.loads(text, parse_constant=refuse_constant)
     assert table["scene"] == "tiny"
     assert len(table["poles"]) == 4
-    assert table["trust"].startswith("What this model can be trusted for: order 4: held out")
+    assert table["trust"].startswith("What these models can be trusted for: the equivariant model:")
+    assert "PCR: order 4: held out" in table["trust"]
     assert set(table["card"]["held_out"]) == {"cells", "matrix"}
     row = table["card"]["held_out"]["cells"]
     assert row["nothing moves"] == 1.0
