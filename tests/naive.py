@@ -334,3 +334,23 @@ def fitted_without_a_look(x):
     import numpy as np
 
     return np.linalg.lstsq(x[:-1], x[1:], rcond=None)[0].T
+
+
+def rolled(A, z, dt, n):
+    """n steps of z+ = z + dt A z without a look at z: inf, then NaN."""
+    import numpy as np
+
+    step = np.eye(len(A)) + dt * A
+    with np.errstate(all="ignore"):
+        for _ in range(n):
+            z = step @ z
+    return z
+
+
+def inverse_distance_weights(positions):
+    """Interaction as one over the distance: infinite for two cells at one place."""
+    import numpy as np
+
+    d = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+    with np.errstate(all="ignore"):
+        return np.where(np.eye(len(d), dtype=bool), 0.0, 1.0 / d)

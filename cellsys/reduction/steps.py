@@ -100,6 +100,18 @@ def check_roll_out(
     return z0, t, c, repeats
 
 
+_MANY = 1000  # steps between two samples from which on powers of A are cheaper than steps
+
+
+def _powers(A: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """A^n and I + A + ... + A^(n-1), by squaring [[A, I], [0, I]]."""
+    m = len(A)
+    whole = np.eye(2 * m)
+    whole[:m, :m], whole[:m, m:] = A, np.eye(m)
+    power = np.linalg.matrix_power(whole, n)
+    return power[:m, :m], power[:m, m:]
+
+
 # Overflow ends in inf or NaN, which is turned into an error.
 @np.errstate(over="ignore", invalid="ignore")
 def roll(
@@ -124,6 +136,7 @@ def roll(
     out[0] = z0
     limit = 1e150 * max(1.0, float(np.abs(z0).max(initial=0.0)))
     spare, drives, step = np.empty(len(z0)), np.empty((len(steps), len(z0))), {}
+    many: dict[float, tuple[np.ndarray, np.ndarray]] = {}
     lengths = np.round(steps, 9)
     for dt in np.unique(lengths):
         rows = np.flatnonzero(lengths == dt)
@@ -133,9 +146,15 @@ def roll(
         A, z = step[lengths[k]], out[k + 1]
         np.dot(A, out[k], out=z)
         z += drives[k]
-        for _ in range(repeat - 1):
-            np.dot(A, z, out=spare)
-            np.add(spare, drives[k], out=z)
+        if repeat > _MANY:
+            if lengths[k] not in many:
+                many[lengths[k]] = _powers(A, int(repeat))
+            power, total = many[lengths[k]]
+            z[:] = power @ out[k] + total @ drives[k]
+        else:
+            for _ in range(repeat - 1):
+                np.dot(A, z, out=spare)
+                np.add(spare, drives[k], out=z)
         if k % 64 == 0 or k == len(repeats) - 1:
             largest = float(np.abs(z).max(initial=0.0))
             if not largest < limit:

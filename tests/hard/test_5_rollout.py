@@ -1,0 +1,174 @@
+"""Roll-outs: every order and reductor, a million seconds, growth, inputs never seen."""
+
+import time
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+from cellsys.errors import CellsysError, IntegrationError
+from cellsys.reduction import PCR, Contractive, LatentModel, LeastSquares, Ridge, reduce
+from tests import naive
+from tests.hard.stress import SEED, Case, Choice, Int, Power, Real, hold
+from tests.reduction.systems import one_step_data, spreading_data, stable_matrix
+
+HORIZONS = np.array([0.0, 1.0, 2.0, 10.0, 1e3, 1e6])
+
+
+def exact_roll(A, b, z0, t):
+    """z(t) of z' = A z + b at 60 digits."""
+    with mp.workdps(60):
+        m = len(A)
+        whole = mp.zeros(m + 1)
+        for i in range(m):
+            for j in range(m):
+                whole[i, j] = mp.mpf(float(A[i, j]))
+            whole[i, m] = mp.mpf(float(b[i]))
+        start = mp.matrix([*map(float, z0), 1.0])
+        # rates below 2 1/s: at 1e6 s the exponential is that of a fixed point, found by squaring
+        out = mp.expm(whole * mp.mpf(t) / 2**24, method="taylor")
+        for _ in range(24):
+            out = out * out
+        return np.array([float(v) for v in (out * start)[:m]])
+
+
+def every_order_is_bounded_or_refused(seed, order, method, data):
+    """The roll-out over 1e6 s is finite, or refused with its rate before it overflows."""
+    made = one_step_data(seed=seed % 20) if data == "small" else spreading_data(seed=seed % 5)
+    model = reduce(made, order=order, method=method)
+    t = model.dt * np.array([0, 1, 7, 500, round(1e6 / model.dt)])
+    z0, z, said = model.z_start, (), None
+    try:
+        z = model.predict(z0, None, t)
+    except IntegrationError as refusal:
+        said = refusal
+    if not len(z):
+        assert model.growth() > 0
+        assert f"{model.growth():.3g}" in str(said)
+        assert 0 < said.time <= t[-1]
+        return
+    assert np.all(np.isfinite(z))
+    if isinstance(method, Contractive):
+        A, _, b = model.step_matrices()
+        assert np.abs(np.linalg.eigvals(A)).max() <= 1.0
+    if model.growth() < -1e-4:
+        # at rest by then: exp(-100)
+        A, _, b = model.step_matrices()
+        assert np.abs(A @ z[-1] + b - z[-1]).max() < 1e-6 * (1 + np.abs(z[-1]).max())
+
+
+def a_million_seconds_are_exact(seed, rate, m):
+    """Continuous and step models at 1e6 s against 60 digits."""
+    rng = np.random.default_rng(seed)
+    A = stable_matrix(m, rng, slowest=rate, fastest=min(1.0, 100 * rate))
+    b, z0 = rng.standard_normal(m), rng.standard_normal(m)
+    model = LatentModel(A, offset=b)
+    got = model.predict(z0, None, HORIZONS)
+    for k in (1, 3, 5):
+        want = exact_roll(A, b, z0, HORIZONS[k])
+        # the fixed point is -A^-1 b: rounding times its condition, and times rate * t of the
+        # scaling and squaring before that
+        size = np.abs(want).max() + np.abs(z0).max()
+        assert np.abs(got[k] - want).max() < 1e-9 * size * np.linalg.cond(A)
+
+
+def growth_is_refused_before_it_overflows(g, spread, step):
+    """z' = g z: refused with g and a time, or right."""
+    A = np.array([[g, 0.0], [spread, -1.0]])
+    dt = min(0.1 / g, 1.0)
+    model = LatentModel(A, dt=dt if step else None)
+    t = dt * np.array([0, 10, 10**4, 10**7])
+    exponent = (np.log1p(g * dt) / dt if step else g) * t
+    if 330 < exponent[-1] < 350:
+        return  # exp(345) = 1e150 is where it is refused
+    if exponent[-1] >= 350:
+        with pytest.raises(IntegrationError, match="spectral abscissa"):
+            model.predict(np.ones(2), None, t)
+        return
+    z = model.predict(np.ones(2), None, t)
+    assert np.all(np.abs(z[:, 0] / np.exp(exponent) - 1) < 1e-6 * (1 + exponent))
+
+
+@pytest.mark.parametrize("method", [PCR(), LeastSquares(), Ridge(ridge=1e-3)])
+def test_every_order_up_to_the_rank(method):
+    data = one_step_data()
+    for order in range(1, 15):  # 8 states and 6 laws
+        every_order_is_bounded_or_refused(0, order, method, "small")
+    with pytest.raises(CellsysError, match=r"rank|beyond"):
+        reduce(data, order=15, method=method)
+
+
+def test_ten_million_steps_between_two_samples_take_no_time():
+    """Step model of 0.1 s to 1e6 s: powers, not steps; and the same numbers as steps."""
+    rng = np.random.default_rng(0)
+    A, b, z0 = stable_matrix(5, rng), rng.standard_normal(5), rng.standard_normal(5)
+    model = LatentModel(A, offset=b, dt=0.01)
+    began = time.process_time()
+    z = model.predict(z0, None, np.array([0.0, 1e6]))
+    assert time.process_time() - began < 1.0
+    assert np.abs(A @ z[-1] + b).max() < 1e-10
+    few = model.predict(z0, None, np.array([0.0, 9.99, 15.0]))
+    each = model.predict(z0, None, 0.01 * np.arange(1501))
+    assert np.abs(few[-2:] - each[[999, 1500]]).max() < 1e-12
+
+
+def inputs_of_any_size_are_carried(size, m, seed):
+    """A linear model answers in proportion, up to where squares would overflow."""
+    rng = np.random.default_rng(seed)
+    A, B = stable_matrix(m, rng), rng.standard_normal((m, 2))
+    model = LatentModel(A, B=B)
+    t = np.array([0.0, 1.0, 5.0, 100.0])
+    one = model.predict(np.zeros(m), np.array([1.0, -1.0]), t)
+    many = model.predict(np.zeros(m), size * np.array([1.0, -1.0]), t)
+    assert np.abs(many - size * one).max() <= 1e-12 * size * np.abs(one).max() * (1 + m)
+
+
+def test_growth_unseen():
+    """A rate of 0.5 1/s for 1e4 s: refused; steps without a look end in inf."""
+    growth_is_refused_before_it_overflows(0.5, 1.0, step=True)
+    assert not np.isfinite(naive.rolled(np.diag([0.5, -1.0]), np.ones(2), 0.2, 10**4)).all()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_is_refused(bad):
+    model = LatentModel(-np.eye(2), B=np.eye(2))
+    for z0, u in ((np.array([bad, 0]), None), (np.zeros(2), np.array([0.0, bad]))):
+        with pytest.raises(CellsysError, match="NaN or inf"):
+            model.predict(z0, u, np.array([0.0, 1.0]))
+
+
+CASES = (
+    Case(
+        "every order",
+        every_order_is_bounded_or_refused,
+        {
+            "order": Int(1, 14),
+            "method": Choice(
+                PCR(), LeastSquares(), Ridge(ridge=1e-3), Contractive(iterations=3),
+                Contractive(loss="one-step", iterations=20),
+            ),
+            "data": Choice("small", "spreading"),
+            "seed": SEED,
+        },
+    ),
+    Case(
+        "a million seconds",
+        a_million_seconds_are_exact,
+        {"rate": Power(-6, 0), "m": Int(2, 5), "seed": SEED},
+    ),
+    Case(
+        "growth",
+        growth_is_refused_before_it_overflows,
+        {"g": Power(-6, 2), "spread": Real(0, 10), "step": Choice(False, True)},
+    ),
+    Case(
+        "inputs of any size",
+        inputs_of_any_size_are_carried,
+        {"size": Power(-100, 100), "m": Int(2, 6), "seed": SEED},
+    ),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
+def test_random_instances(case):
+    hold(case, 4)
