@@ -9,7 +9,7 @@ import numpy as np
 
 from cellsys.reduction.card import DIVERGED
 
-COLOURS = {"PCR": "C0", "LeastSquares": "C1"}
+COLOURS = {"PCR": "C0", "LeastSquares": "C1", "Equivariant": "C2"}
 
 
 def _axes(ax: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from cellsys.reduction import Equivariant, EquivariantModel, Snapshots, snapshot
 from cellsys.reduction.equivariant.records import read_records
 from cellsys.response import margins
 from cellsys.scene import Scene
+from cellsys.study.measure import OrderRow
 from cellsys.trajectory import Trajectory
 
 ORDER = 50
@@ -80,6 +82,26 @@ def study_equivariant(
         "loop": loop_table,
     }
     return EquivariantStudy(model, run, gap, table)
+
+
+def sweep_row(model: EquivariantModel, steps: int) -> OrderRow:
+    """The model as a row of the sweep; its price is the least of three roll-outs of the charges."""
+    times = []
+    for _ in range(4):
+        began = time.perf_counter()
+        model.simulate_commands(model.z_start, np.ones(steps), np.zeros(steps))
+        times.append(time.perf_counter() - began)
+    row = model.card.held_out["cells"]
+    return OrderRow(
+        "Equivariant",
+        model.order,
+        {"cells": row["model"]},
+        {"cells": row["floor"]},
+        {"cells": {k: row[k] for k in ("nothing moves", "mean velocity", "mean motion")}},
+        model.card.spectral_abscissa,
+        1e3 * min(times[1:]),
+        model.card.verdict,
+    )
 
 
 def _loop(

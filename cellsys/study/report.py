@@ -101,6 +101,10 @@ def _image(path: Path, alt: str) -> str:
     return f'<img alt="{html.escape(alt)}" src="data:image/png;base64,{data}">'
 
 
+def _error(value: float) -> str:
+    return _g(value) if value < 1e6 else "diverges"
+
+
 def _g(value: float, digits: int = 3) -> str:
     if value is None or np.isnan(value):
         return "-"
@@ -157,8 +161,8 @@ def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
                 (
                     r.method,
                     str(r.order),
-                    _g(r.error["cells"]) if r.error["cells"] < 1e6 else "diverges",
-                    _g(r.error["matrix"]) if r.error["matrix"] < 1e6 else "diverges",
+                    _error(r.error["cells"]),
+                    _error(r.error["matrix"]) if "matrix" in r.error else "-",
                     _g(r.floor["cells"]),
                     _g(r.roll_out_ms),
                 )

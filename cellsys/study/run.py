@@ -30,7 +30,7 @@ from cellsys.response import Margins, margins, stability
 from cellsys.scene import ChainScene, Scene, build, load_scene, run_ensemble, training_scenes
 from cellsys.store import discard_partial, write_json
 from cellsys.study.coordinates import learn_coordinates
-from cellsys.study.equivariant import EquivariantStudy, study_equivariant
+from cellsys.study.equivariant import EquivariantStudy, study_equivariant, sweep_row
 from cellsys.study.measure import OrderSweep, sweep_orders
 from cellsys.trajectory import Trajectory
 
@@ -186,6 +186,10 @@ def study(
 
     say("equivariant", 0.0)
     charges = study_equivariant(scene, data, test, main)
+    if charges.model is not None:
+        steps = round(sweep.horizon_s / charges.model.dt)
+        row = sweep_row(charges.model, steps)
+        sweep = dataclasses.replace(sweep, rows=(*sweep.rows, row))
     say("equivariant", 1.0)
 
     system = build(scene)
