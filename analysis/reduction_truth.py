@@ -12,11 +12,13 @@ the start shifted by 5 and 100 nm, coverage of the error bands, the cell closed 
 
 import argparse
 import dataclasses
+import time
 from pathlib import Path
 
 import numpy as np
 
 import cellsys as cs
+from cellsys.reduction.equivariant.forecast import conformal_bands, residuals
 from cellsys.reduction.equivariant.records import read_records, sites_of
 from cellsys.reduction.equivariant.worth import Baselines, measure, relative, roll_record
 
@@ -110,9 +112,8 @@ class Data:
         """A model from the runs of some sets."""
         data = self.snapshots(*names)
         records = [
-            dataclasses.replace(r, run=k) for k, r in enumerate(
-                r for n in names for r in self.records[n]
-            )
+            dataclasses.replace(r, run=k)
+            for k, r in enumerate(r for n in names for r in self.records[n])
         ]
         return method.fit_records(records, data, order, sites_of(data))
 
@@ -156,12 +157,16 @@ def main(quick: bool = False, out: str = "out/reduction_truth") -> None:
         if k in ("nothing moves", "mean velocity", "mean motion", "nearest run",
                  "linear in polarity", "body-frame mean")))  # fmt: skip
     body = rows["cells"]["body-frame mean"]
-    print(f"m = {top}: {rows['cells']['model'] / body:.2f} of the body-frame mean's error, better on "
-          f"{100 * rows['cells']['runs better than body-frame mean']:.0f} % of the runs")
+    print(
+        f"m = {top}: {rows['cells']['model'] / body:.2f} of the body-frame mean's error, better on "
+        f"{100 * rows['cells']['runs better than body-frame mean']:.0f} % of the runs"
+    )
     pairs = list(zip(data.records["test"], data.records["elsewhere"], strict=False))
     floor = cs.realisation_floor(model, pairs)
-    print(f"realisation floor: cells {floor['cells']:.3f}, loads {floor['loads']:.2f}; the model's "
-          f"error is {rows['cells']['model'] / floor['cells']:.2f} times the floor")
+    print(
+        f"realisation floor: cells {floor['cells']:.3f}, loads {floor['loads']:.2f}; the model's "
+        f"error is {rows['cells']['model'] / floor['cells']:.2f} times the floor"
+    )
     for name in ("5 nm", "100 nm"):
         a, b = data.records["test"][0].nodes, data.records[name][0].nodes
         print(f"start shifted by {name}: rc {relative(b - a, a):.5f}")
@@ -172,8 +177,7 @@ def main(quick: bool = False, out: str = "out/reduction_truth") -> None:
         ("roll-out loss, contractive (default)", base),
         ("one-step loss, contractive", dataclasses.replace(base, iterations=0)),
         ("roll-out loss, unconstrained", dataclasses.replace(base, margin=None)),
-        ("one-step loss, unconstrained",
-         dataclasses.replace(base, iterations=0, margin=None)),
+        ("one-step loss, unconstrained", dataclasses.replace(base, iterations=0, margin=None)),
         ("time-invariant", dataclasses.replace(base, clock=cs.Clock(vertices=1))),
     ):
         with np.errstate(over="ignore", invalid="ignore"):
@@ -183,22 +187,29 @@ def main(quick: bool = False, out: str = "out/reduction_truth") -> None:
         with np.errstate(over="ignore", invalid="ignore"):
             z = fitted.simulate_commands(fitted.z_start, np.ones(steps), np.zeros(steps))
             sizes = [np.abs(x).max(initial=0.0) for x in fitted.dynamics.split(z[-1:]).x]
-        print(f"{'':44s} norm {fitted.dynamics.norm():.6f}, after {10 * steps:.0e} s the states "
-              f"reach {max(sizes):.3g}")
+        print(
+            f"{'':44s} norm {fitted.dynamics.norm():.6f}, after {10 * steps:.0e} s the states "
+            f"reach {max(sizes):.3g}"
+        )
 
     one = data.fit(cs.Equivariant(**quickly), orders[-3] if len(orders) > 2 else orders[0],
                    "constant")  # fmt: skip
-    print("\n" + line(f"ONE constant-heading run, m = {one.order}: any heading",
-                      data.errors(one, ("constant",), "constant test")))
+    print(
+        "\n"
+        + line(
+            f"ONE constant-heading run, m = {one.order}: any heading",
+            data.errors(one, ("constant",), "constant test"),
+        )
+    )
 
     if len(data.runs["turning"]) >= 3:
         snapshots = data.snapshots(*small)
         kept = data.records["turning"]
         method = dataclasses.replace(base, folds=3 if quick else 4)
         misses = method.left_out(kept, snapshots, top, sites_of(snapshots))
-        bands = cs.conformal_bands(misses, data.step, method.folds)
+        bands = conformal_bands(misses, data.step, method.folds)
         fitted = models[small, top]
-        held = [cs.residuals(fitted, r, roll_record(fitted, r)) for r in data.records["test"]]
+        held = [residuals(fitted, r, roll_record(fitted, r)) for r in data.records["test"]]
         for level in bands.levels:
             found = bands.coverage(held, level)
             print(f"{100 * level:g} % band covers", ", ".join(
@@ -207,18 +218,21 @@ def main(quick: bool = False, out: str = "out/reduction_truth") -> None:
     order = 60 if quick else 200
     field = cs.GalerkinField(cs.build(data.scenes["test"][0]), order=order)
     cells = cs.CellsOnField(model, field)
-    miss = []
+    miss, seconds = [], np.inf
     for record, run in zip(data.records["test"], data.runs["test"], strict=True):
         place = record.nodes[0].mean(axis=0)[:2]
+        began = time.perf_counter()
         done = cells.simulate(record.amplitude[:, None], record.heading[:, None], place)
+        seconds = min(seconds, time.perf_counter() - began)
         truth = run.block("matrix.displacement")[:: round(data.step / (run.t[1] - run.t[0]))]
         u = field.displacement(done.q)
         miss.append((relative(model.nodes(done.z[:, 0]) - record.nodes, record.nodes),
                      float(np.linalg.norm(u - truth) / np.linalg.norm(truth))))  # fmt: skip
     rc, re = np.sqrt(np.mean(np.square(miss), axis=0))
-    print(f"\none cell closed with its field (m = {model.order}, q = {order}): rc {rc:.3f}, matrix "
-          f"error {re:.3f}; port: {model.card or ''}"
-          f"index {model.dynamics.passivity_index():.1g}")  # fmt: skip
+    print(
+        f"\none cell closed with its field (m = {model.order}, q = {order}): rc {rc:.3f}, matrix "
+        f"error {re:.3f}, {seconds:.2f} s a run, port index {model.dynamics.passivity_index():.1g}"
+    )
 
 
 if __name__ == "__main__":
