@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cellsys.errors import IntegrationError
+from cellsys.reduction.baselines import command_baselines
 from cellsys.reduction.card import Card, verdict
 from cellsys.reduction.model import LatentModel
+from cellsys.reduction.provenance import constant_commands, data_hash
 from cellsys.reduction.snapshots import RunData, Snapshots
 
 
@@ -185,12 +187,15 @@ class Encoded:
 
     runs: list[np.ndarray]
     motion: np.ndarray
+    training: Snapshots | None = None
     kept: dict = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, model: LatentModel, data: Snapshots, motion: np.ndarray) -> Encoded:
+    def of(
+        cls, model: LatentModel, data: Snapshots, motion: np.ndarray, training: Snapshots
+    ) -> Encoded:
         """`model` is any model with the large basis, `motion` the mean training motion."""
-        return cls([encode_run(model, r) for r in data.runs], motion)
+        return cls([encode_run(model, r) for r in data.runs], motion, training)
 
     def references(
         self,
@@ -202,6 +207,9 @@ class Encoded:
         """Floor at the model's order, and baselines, of run i, per block."""
         if i not in self.kept:
             self.kept[i] = baselines(data.runs[i], rows, self.motion)
+            if self.training is not None:
+                more = command_baselines(self.training, data.runs[i], rows)
+                self.kept[i] = {k: v | more.get(k, {}) for k, v in self.kept[i].items()}
         if (i, model.order) not in self.kept:
             self.kept[i, model.order] = floors(model, data.runs[i], rows, self.runs[i])
         floor = self.kept[i, model.order]
@@ -213,8 +221,8 @@ def encode_all(
 ) -> tuple[Encoded, Encoded | None]:
     """Training and held-out runs in the basis of `model`."""
     motion = mean_motion(data)
-    held = None if test is None else Encoded.of(model, test, motion)
-    return Encoded.of(model, data, motion), held
+    held = None if test is None else Encoded.of(model, test, motion, data)
+    return Encoded.of(model, data, motion, data), held
 
 
 def assess(
@@ -247,4 +255,6 @@ def assess(
         held_out=held_out,
         input_share_explained=model.notes.get("input_share_explained"),
         verdict=verdict(model.order, abscissa, training, held_out),
+        facts={"data hashes": data_hash(data)},
+        warnings=constant_commands(data),
     )

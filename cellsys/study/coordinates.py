@@ -91,4 +91,4 @@ def _unpack(arrays: dict, meta: dict, data: Snapshots) -> Coordinates:
     training = [arrays[f"training {i}"] for i in range(len(data.runs))]
     test = [v for k, v in arrays.items() if k.startswith("test ")]
     motion = mean_motion(data)
-    return Coordinates(basis, parts, (Encoded(training, motion), Encoded(test, motion)))
+    return Coordinates(basis, parts, (Encoded(training, motion, data), Encoded(test, motion, data)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,25 +12,13 @@ from cellsys.reduction.equivariant.model import EquivariantModel
 from cellsys.reduction.equivariant.records import CellRecord, stride
 from cellsys.reduction.equivariant.worth import (
     Baselines,
-    constant_headings,
     measure,
     representation_error,
 )
 from cellsys.reduction.local_sensor import StiffnessMap, fit_local_sensor
+from cellsys.reduction.provenance import constant_commands, data_hash
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import Snapshots
-
-
-def data_hash(data: Snapshots) -> list[str]:
-    """Twelve hex digits per run, of its first and last state and its commands."""
-    out = []
-    for run in data.runs:
-        digest = hashlib.sha256()
-        for part in (run.x[0], run.x[len(run.x) - 1], run.commands):
-            if part is not None:
-                digest.update(np.ascontiguousarray(part, dtype=float).tobytes())
-        out.append(digest.hexdigest()[:12])
-    return out
 
 
 def card_of(
@@ -55,12 +42,6 @@ def card_of(
         "port passivity index": f"{index:.2g} ({_passive(model, index)})",
         "clock": f"{model.dynamics.clock.vertices} vertices, {model.dynamics.clock.tau:g} s",
     }
-    warnings = []
-    if constant_headings(records):
-        warnings.append(
-            "the training runs keep one heading each: up to a rotation they are one trajectory, "
-            "so they cannot rank models; add turning commands"
-        )
     text = verdict(model.order, growth, training, held)
     return Card(
         order=model.order,
@@ -74,7 +55,7 @@ def card_of(
         held_out=held,
         verdict=text,
         facts=facts,
-        warnings=tuple(warnings),
+        warnings=constant_commands(data),
     )
 
 

@@ -179,11 +179,6 @@ def _summary(values: dict[str, list[float]]) -> dict[str, float]:
     return out
 
 
-def constant_headings(records: Sequence[CellRecord]) -> bool:
-    """Whether every run keeps one heading: up to a rotation they are one trajectory."""
-    return all(np.ptp(np.unwrap(r.heading)) < 1e-6 and np.ptp(r.amplitude) < 1e-6 for r in records)
-
-
 def realisation_floor(
     model: EquivariantModel, pairs: Sequence[tuple[CellRecord, CellRecord]]
 ) -> dict[str, float]:
