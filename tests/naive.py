@@ -354,3 +354,35 @@ def inverse_distance_weights(positions):
     d = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     with np.errstate(all="ignore"):
         return np.where(np.eye(len(d), dtype=bool), 0.0, 1.0 / d)
+
+
+def fixed_step_end(system, t_end, step):
+    """Explicit Euler to the end, whatever comes out."""
+    import numpy as np
+
+    x = system.x0.copy()
+    with np.errstate(all="ignore"):
+        for k in range(round(t_end / step)):
+            x = x + step * system.rhs(k * step, x)
+            if not np.isfinite(x).all():
+                return x
+    return x
+
+
+def fixed_step_crossing(at, step):
+    """Time at which a clock read every `step` notices that `at` has passed."""
+    t = 0.0
+    while t < at:
+        t += step
+    return t
+
+
+def sign_steps(x, step, t_end):
+    """x' = -sign(x) by explicit steps."""
+    import numpy as np
+
+    out = []
+    for _ in range(round(t_end / step)):
+        x = x - step * np.sign(x)
+        out.append(x)
+    return np.array(out)

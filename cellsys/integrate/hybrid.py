@@ -82,6 +82,7 @@ class _Run:
         self.now = float(t[0])
         self.sample = 0
         self.armed = [0.0] * len(self.guards)  # sign on which each guard was last seen
+        self.turned = -1  # the guard whose reset turned it back last
         self.counts = {"steps": 0, "rhs": 0, "factorisations": 0, "events": 0, "instant": 0}
         self.shortest = np.inf
         self.forced = type(system).u is not OdeSystem.u or system.forcing is not None
@@ -136,7 +137,12 @@ class _Run:
             if found is not None:
                 self._count(solver)
                 self.now, self.state = end, np.array(dense(end))
+                together = self._together(found[1])
                 self._fire(found[1])
+                for i in together:
+                    event = self.guards[i]  # unless the others' resets took it back
+                    if event.guard(self.now, self.state) * event.direction >= 0:
+                        self._fire(i)
                 return
             self.now = b
         self._count(solver)
@@ -158,7 +164,7 @@ class _Run:
                 value = event.guard(right, x)
                 before = self.armed[i]
                 if value * before < 0 and event.direction * before <= 0:
-                    root = self._root(event, dense, left, right)
+                    root = self._root(i, dense, left, right)
                     if best is None or root < best[0]:
                         best = root, i
                 elif value != 0 and value * before <= 0:
@@ -168,14 +174,45 @@ class _Run:
             left = right
         return None
 
-    def _root(self, event: EventFunction, dense: Any, a: float, b: float) -> float:
+    def _root(self, index: int, dense: Any, a: float, b: float) -> float:
+        event = self.guards[index]
+
         def guard(s: float) -> float:
             return event.guard(s, dense(s))
 
         low, high = guard(a), guard(b)
         if low == 0 or low * high > 0:
-            return a  # the guard left zero inside the last look: rounding
+            # It left zero inside this look: when, if it was seen on its side at all?
+            inside = [s for s in a + (b - a) * 0.5 ** np.arange(1, 53) if guard(s) * high < 0]
+            if not inside and index == self.turned:
+                self.now, self.state = a, np.array(dense(a))
+                self._chatter(event, "it comes back within rounding of its own event")
+            if not inside:
+                return a  # rounding
+            a = float(inside[0])
         return float(brentq(guard, a, b, xtol=4 * EPS * max(abs(a), abs(b), 1.0), rtol=4 * EPS))
+
+    def _together(self, index: int) -> list[int]:
+        """Other guards that pass zero at this same instant, to rounding."""
+        found = []
+        for i, event in enumerate(self.guards):
+            value = event.guard(self.now, self.state) * self.armed[i]
+            falls = event.direction * self.armed[i] <= 0 and self.armed[i] != 0
+            if i != index and value <= 0 and falls and not event.level:
+                found.append(i)
+        return found
+
+    def _side(self, event: EventFunction) -> float:
+        """The sign on which a guard leaves its own root: 0 where it simply goes on past zero.
+
+        A reset that turns it back (a bounce) makes it leave on the side it came from. Seen past
+        zero after that, it has come back within the step, and fires again.
+        """
+        x, t = self.state, self.now
+        step = 1e-8 * (self.times[-1] - self.times[0])
+        after = event.guard(t + step, x + step * self.system.rhs(t, x))
+        change = (after - event.guard(t, x)) * event.direction
+        return 0.0 if event.reset is None or not change < 0 else -float(event.direction)
 
     def _fire(self, index: int) -> None:
         event = self.guards[index]
@@ -206,7 +243,8 @@ class _Run:
             if i != skip:
                 self.armed[i] = float(np.sign(event.guard(self.now, self.state)))
             elif event.direction != 0:
-                self.armed[i] = 0.0  # at its own root: seen again once it has left zero
+                self.armed[i] = self._side(event)  # at its own root
+                self.turned = i if self.armed[i] else -1
 
     def _jump(self, event: EventFunction) -> np.ndarray:
         state = np.asarray(event.reset(self.now, self.state), dtype=float)  # type: ignore[misc]

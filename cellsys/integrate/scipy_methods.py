@@ -14,6 +14,8 @@ from cellsys.integrate.hybrid import solve_hybrid
 from cellsys.integrate.solution import Solution
 from cellsys.system import OdeSystem
 
+_LEAST = 100 * float(np.finfo(float).eps)  # scipy would raise a smaller rtol to this by itself
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Method:
@@ -34,6 +36,10 @@ class _Method:
             value = getattr(self, label)
             if not (value > 0 and (np.isfinite(value) or label == "max_step")):
                 raise ParameterError(f"{name}.{label} must be > 0, got {value!r}")
+        if self.rtol < _LEAST:
+            raise ParameterError(
+                f"{name}.rtol must be >= {_LEAST:.2g}, a hundred roundings, got {self.rtol!r}"
+            )
         if self.first_step is not None and not self.first_step > 0:
             raise ParameterError(f"{name}.first_step must be > 0 s, got {self.first_step!r}")
 

@@ -94,7 +94,7 @@ def more_latents_than_cell_rows(m, missing, K, seed):
 
 
 def any_number_of_cells(K, m, form, seed, size):
-    """Time and memory do not grow with K; poles are those of the Kronecker assembly of two cells."""
+    """Time and memory do not grow with K; poles of two cells are those of the Kronecker matrix."""
     one = model(m=m, seed=seed)
     R = np.eye(m) + size * np.random.default_rng(seed).standard_normal((m, m))
     coupling = {
