@@ -104,7 +104,8 @@ def load_archive(
     source = Path(path)
     arrays, header = _read(source)
     if header.get("kind") != kind:
-        raise FileFormatError(f"{source.name!r} holds a {header.get('kind')!r}, expected a {kind!r}")
+        found = header.get("kind")
+        raise FileFormatError(f"{source.name!r} holds a {found!r}, expected a {kind!r}")
     if header.get("version") != version:
         raise FileFormatError(
             f"{source.name!r} has {kind} schema {header.get('version')!r}, this cellsys reads "

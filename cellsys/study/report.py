@@ -219,8 +219,8 @@ def _equivariant_part(result: Any, figures: dict[str, Path]) -> list[str]:
     if loop.get("margins"):
         m = loop["margins"]
         heading += (
-            f"Margins of that loop at its end: gain {_g(m['gain_margin_on_kappa'])} on kappa, phase "
-            f"{_g(m['phase_margin_deg'])} deg, delay {_g(m['delay_margin_s'])} s."
+            f"Margins of that loop at its end: gain {_g(m['gain_margin_on_kappa'])} on kappa, "
+            f"phase {_g(m['phase_margin_deg'])} deg, delay {_g(m['delay_margin_s'])} s."
         )
     elif loop.get("why_no_margins"):
         heading += f"No margins: {html.escape(loop['why_no_margins'])}."
