@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,14 @@ class EquivariantStudy:
     heading_error: dict[str, float]
     table: dict[str, Any]
     why_not: str | None = None
+
+    def with_floors(self, floors: dict[str, float]) -> EquivariantStudy:
+        """The same with floors on the model's card."""
+        if self.model is None:
+            return self
+        card = replace(self.model.card, floors=floors)
+        model = self.model.carrying(card=card)
+        return replace(self, model=model, table=self.table | {"card": card.table()})
 
     def lines(self) -> list[str]:
         """For a terminal."""

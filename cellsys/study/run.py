@@ -31,6 +31,7 @@ from cellsys.scene import ChainScene, Scene, build, load_scene, run_ensemble, tr
 from cellsys.store import discard_partial, write_json
 from cellsys.study.coordinates import learn_coordinates
 from cellsys.study.equivariant import EquivariantStudy, study_equivariant, sweep_row
+from cellsys.study.floors import floor_scenes, measured_floors
 from cellsys.study.measure import OrderSweep, sweep_orders
 from cellsys.trajectory import Trajectory
 
@@ -155,20 +156,22 @@ def study(
 
     train, held = training_scenes(scene)
     runs = run_ensemble(
-        [scene, *train, *held],
+        [scene, *train, *held, *floor_scenes(held)],
         cache,
         workers=workers,
         progress=lambda done, total: say("full-order runs", done / total),
     )
     main, runs = runs[0], runs[1:]
-    data, test = snapshots(runs[: len(train)]), snapshots(runs[len(train) :])
+    data = snapshots(runs[: len(train)])
+    tested, near = runs[len(train) : len(train) + len(held)], runs[len(train) + len(held) :]
+    test = snapshots(tested)
     orders = [m for m in ORDERS if m < data.n_samples]
     if order not in orders:
         orders = sorted({*orders, order})
     say("basis", 0.0)
     learned = learn_coordinates(data, test, max(orders), cache / "coordinates.npz")
     say("basis", 1.0)
-    full_s = float(np.mean([r.statistics["wall_time"] for r in runs[len(train) :]]))
+    full_s = float(np.mean([r.statistics["wall_time"] for r in tested]))
     sweep, models = sweep_orders(
         data,
         test,
@@ -190,6 +193,9 @@ def study(
         steps = round(sweep.horizon_s / charges.model.dt)
         row = sweep_row(charges.model, steps)
         sweep = dataclasses.replace(sweep, rows=(*sweep.rows, row))
+    floors = measured_floors(tested[0], near, charges.model)
+    charges = charges.with_floors(floors)
+    model = dataclasses.replace(model, card=dataclasses.replace(model.card, floors=floors))
     say("equivariant", 1.0)
 
     system = build(scene)

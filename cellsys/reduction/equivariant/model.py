@@ -267,6 +267,13 @@ class EquivariantModel(LatentModel):
         """Charges of the load density, pN/um."""
         return self.representation.load(self._features(z)[1])
 
+    def matrix_forces(self, z: np.ndarray) -> np.ndarray:
+        """Forces (N, 3), pN, of the cell on the matrix nodes, from one z (m,)."""
+        out = np.zeros(self.states["matrix.displacement"].shape)
+        under = self.sites.under(np.asarray(z, dtype=float)[-2:], self.representation.port)
+        out[under.nodes] = under.scatter(self.reconstruct_load(z))
+        return out
+
     def reconstruct_eta(self, z: np.ndarray) -> NoReturn:
         """Refused: only the load on the matrix is carried; see `reconstruct_load`."""
         self._basis("reconstruct_eta")
