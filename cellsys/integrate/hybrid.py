@@ -82,6 +82,7 @@ class _Run:
         self.now = float(t[0])
         self.sample = 0
         self.armed = [0.0] * len(self.guards)  # sign on which each guard was last seen
+        self.last = [-np.inf] * len(self.guards)
         self.turned = -1  # the guard whose reset turned it back last
         self.counts = {"steps": 0, "rhs": 0, "factorisations": 0, "events": 0, "instant": 0}
         self.shortest = np.inf
@@ -202,6 +203,9 @@ class _Run:
                 found.append(i)
         return found
 
+    def _just_fired(self, index: int) -> bool:
+        return self.now - self.last[index] <= 16 * EPS * max(abs(self.now), 1.0)
+
     def _side(self, event: EventFunction) -> float:
         """The sign on which a guard leaves its own root: 0 where it simply goes on past zero.
 
@@ -216,6 +220,9 @@ class _Run:
 
     def _fire(self, index: int) -> None:
         event = self.guards[index]
+        if self._just_fired(index):
+            self._chatter(event, "it comes back within rounding of its own event")
+        self.last[index] = self.now
         self._note(event)
         if event.reset is None:
             self.armed[index] = -self.armed[index] if event.direction == 0 else 0.0
@@ -240,7 +247,9 @@ class _Run:
                         again = True
                         break
         for i, event in enumerate(self.guards):
-            if i != skip:
+            if i != skip and self._just_fired(i) and not event.level:
+                self.armed[i] = 0.0  # another one at the same instant: it must not fire again
+            elif i != skip:
                 self.armed[i] = float(np.sign(event.guard(self.now, self.state)))
             elif event.direction != 0:
                 self.armed[i] = self._side(event)  # at its own root

@@ -68,12 +68,14 @@ def a_grazing_guard_is_seen_or_not_by_its_depth(depth, method):
     )  # fmt: skip
     run = simulate(system, method(rtol=1e-10, atol=1e-12, max_step=0.05), [0.0, 5.0])
     # x = 1 - depth + cos t
-    if depth > 1e-6:
+    # It is looked for at some points of every step: a dip longer than a step is always seen, a
+    # shorter one may be missed (README), and then nothing is made up.
+    if depth > 4e-4 or (depth > 0 and run.events):
         want = np.arccos(depth - 1)
         assert len(run.events) == 1
         # a root of depth 1/2 (t - pi)^2 is known to error/slope
-        assert abs(run.events[0].time - want) < 1e-7 / np.sqrt(2 * depth)
-    elif depth < -1e-6:
+        assert abs(run.events[0].time - want) < 1e-7 / np.sqrt(2 * depth) + 1e-9 / depth
+    elif depth <= 0:
         assert not run.events
 
 
@@ -189,7 +191,7 @@ CASES = (
     Case(
         "grazing",
         a_grazing_guard_is_seen_or_not_by_its_depth,
-        {"depth": Power(-5.9, -0.3), "method": Choice(DOP853, Radau)},
+        {"depth": Power(-9, -0.3), "method": Choice(DOP853, Radau)},
     ),
     Case(
         "Zeno",

@@ -58,9 +58,12 @@ def linear_relaxation(rate, method, tol, end):
 
 
 def a_pulse_shorter_than_a_step_is_felt(start, width, method):
-    """A pulse of area 1 anywhere in 100 s: felt whole where its edges are named as stop points."""
+    """A pulse of area 1 anywhere in 100 s: felt whole where its edges are named as stop points.
+
+    The law is continuous from the right: the piece that ends at a stop point takes its left limit.
+    """
     def push(t, x):
-        return np.array([1.0 / width if start < t < start + width else 0.0])
+        return np.array([1.0 / width if start <= t < start + width else 0.0])
 
     given = {"states": ["x"], "x0": [0.0], "forcing": push}
     system = Hybrid(stops=(start, start + width), **given)
