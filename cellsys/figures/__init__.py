@@ -18,6 +18,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
             "error_against_amplitude",
         ],
         "equivariant": ["equivariant_model", "forecast"],
+        "hard": ["hard_sweep"],
         "loop": ["headings", "linearisation"],
         "norms": ["system_norm"],
         "population": [
