@@ -4,7 +4,9 @@
 
 Writes accuracy_cost.html, and CSV, JSON and PNG of every sweep. Latent loops are random stable
 ones of the order asked for (a reduced model of a scene has no other structure); full-order runs
-are of examples/spreading.toml, crawlers of examples/crawler.toml. Peers are called directly.
+are of examples/spreading.toml, crawlers of examples/crawler.toml. Models of order, training runs
+and Table 4 are trained on runs of its disc without the inclusion, kept in DIR/runs. Peers are
+called directly.
 """
 
 import argparse
@@ -149,22 +151,25 @@ def intervals(loop, end, spacings, repeats):
     return rows
 
 
-def couplings(counts, m, repeats):
-    """Poles of K coupled cells: by modes and by the dense matrix."""
-    loop = latent_loop(m)
-    rng = np.random.default_rng(1)
+def cell(m, seed=0):
+    """A stable cell steered by its heading, with half of V's rows on the matrix."""
+    loop, rng = latent_loop(m), np.random.default_rng(seed)
     V = sla.qr(rng.standard_normal((3 * m, m)), mode="economic")[0]
-    model = cs.LatentModel(
-        loop.model.A, V=V, n_states=3 * m,
+    return dataclasses.replace(
+        loop.model, V=V, n_states=3 * m, sensor=loop.sensor, z_start=loop.z0,
         blocks={"component": np.arange(m), "field": np.arange(m, 3 * m)},
     )  # fmt: skip
+
+
+def couplings(counts, m, repeats):
+    """Poles of K coupled cells: by modes and by the dense matrix."""
+    model = cell(m)
     rows = []
     for K in counts:
         by_modes = best_of(repeats, lambda K=K: cs.couple(model, K, cs.Superposition()).poles())
-        size = K * m
         dense = "-"
-        if size <= 600:
-            A = sla.block_diag(*[loop.model.A] * K)
+        if K * m <= 600:
+            A = sla.block_diag(*[model.A] * K)
             dense = f"{1e3 * best_of(1, lambda A=A: sla.eigvals(A)):.1f} ms"
         rows.append([str(K), f"{1e3 * by_modes:.1f} ms", dense])
     return rows
@@ -187,23 +192,57 @@ def choices(scene, end):
     return rows
 
 
-def table_4(scene, end, t):
-    """Thesis Table 4: two cells, 20 and 100 latent variables, against our own full-order run."""
-    rows = []
-    for m in (20, 100):
-        problem = cells_problem(latent_loop(m), 2, t)
-        method = cs.Exponential(rtol=1e-4, atol=1e-4)
-        action = partial(cs.simulate, problem.system, method, t, auxiliaries=False)
-        rows.append([f"{m} latent variables", f"{best_of(2, action):.3f} s"])
-    system = cs.build(scene)
-    short = np.array([0.0, end])
-    for method in (cs.RKC(rtol=1e-4, atol=1e-4), cs.LinearlyImplicit(step=0.5)):
-        seconds = best_of(1, partial(cs.simulate, system, method, short, auxiliaries=False))
-        rows.append(
-            [f"full order, {type(method).__name__}",
-             f"{seconds * (t[-1] - t[0]) / end:.0f} s ({end:g} s run, scaled)"]
-        )  # fmt: skip
-    return rows
+def plan(quick):
+    """Training, held-out and pair scenes on one homogeneous disc."""
+    scene = cs.load_scene(HERE.parent / "examples" / "spreading.toml")
+    matrix = dataclasses.replace(scene.matrix, inclusion=None)
+    one = dataclasses.replace(scene.cells[0], position=(0.0, 0.0))
+    plain, loaded, held = (3, 0, 1) if quick else (22, 10, 4)
+    if quick:
+        matrix = dataclasses.replace(matrix, diameter=44.0, nodes=500)
+        one = dataclasses.replace(one, radius=5.0)
+        training = dataclasses.replace(scene.training, duration=60.0)
+        scene = dataclasses.replace(scene, duration=60.0, training=training)
+    scene = dataclasses.replace(scene, matrix=matrix, cells=(one,))
+    train = cs.turning_scenes(scene, plain, seed=101, scatter=3.0)
+    if loaded:
+        train += cs.turning_scenes(scene, loaded, seed=101, scatter=3.0, loaded=True)
+    first, second = cs.turning_scenes(scene, 2, seed=777, scatter=0.0)
+    both = tuple(
+        dataclasses.replace(s.cells[0], position=x, commands=s.cells[0].commands or s.commands)
+        for s, x in ((first, (-9.0, 0.0)), (second, (9.0, 0.0)))
+    )
+    pair = dataclasses.replace(first, name="pair", cells=both)
+    held = cs.turning_scenes(scene, held, seed=72, scatter=3.0, label="held out")
+    return scene, train, held, pair
+
+
+def trained(page, quick, folder):
+    """Order, training runs, kinetics, and Table 4: two cells by models of real runs."""
+    scene, train, held, pair = plan(quick)
+    workers = 1 if quick else 2
+    runs = cs.run_ensemble(train + held, folder, workers=workers)
+    known, test = cs.snapshots(runs[: len(train)]), cs.snapshots(runs[len(train) :])
+    method = cs.Equivariant(folds=0, iterations=8) if quick else cs.Equivariant(folds=0)
+    orders = [6, 12] if quick else [10, 20, 50, 100]
+    methods = [cs.PCR(), cs.LeastSquares(), method]
+    page.axis(cs.order_cost(known, test, orders, methods))
+    took = float(np.mean([r.statistics["wall_time"] for r in runs]))
+    counts = [1, 3] if quick else [2, 4, 8, 16, 32]
+    page.axis(cs.runs_cost(known, test, method, orders[1], took, counts, draws=1))
+    page.axis(cs.kinetics_cost(scene, np.linspace(0.0, 10.0 if quick else 1500.0, 11)))
+    # Errors against half the step, so that the full-order run shows its own.
+    fine = dataclasses.replace(pair, step=0.5 * pair.step)
+    truth, run = cs.run_ensemble([fine, pair], folder, workers=workers)
+    began = time.perf_counter()
+    system = cs.build(pair)
+    field = cs.GalerkinField(system, order=40, places=20) if quick else cs.GalerkinField(system)
+    offline = time.perf_counter() - began
+    models = [cs.reduce(known, order=m, method=method) for m in ((6, 12) if quick else (20, 100))]
+    step = {f"full order, {s.step:g} s": r for s, r in ((pair, run), (fine, truth))}
+    table = cs.cells_cost(models, field, pair, truth, step)
+    page.axis(dataclasses.replace(table, name=f"Table 4: {table.name}; modes of the field once: "
+                                  f"{offline:.1f} s, {len(train)} training runs"))  # fmt: skip
 
 
 class Page:
@@ -222,6 +261,9 @@ class Page:
             for row in [head, *rows]
         )
         self.parts.append(f"<h2>{html.escape(title)}</h2><table>{cells}</table>")
+
+    def axis(self, axis):
+        self.table(axis.name, axis.head(), axis.table())
 
     def sweep(self, sweep):
         print(f"\n{sweep}")
@@ -272,13 +314,14 @@ def main():
         "poles of K cells", ["K", "by modes", "dense"],
         couplings([2, 10] if quick else [2, 10, 100, 1000], 10 if quick else 20, repeats),
     )  # fmt: skip
+    few, span = ([2, 4], 60.0) if quick else ([2, 10, 100, 1000], 300.0)
+    page.axis(cs.coupling_cost(cell(10 if quick else 20), few,
+                               np.arange(0.0, span + 1.0, 10.0), cs.Feedback()))  # fmt: skip
+    trained(page, quick, given.out / "runs")
     page.sweep(crawler_sweep(1.0 if quick else 12.0, 1))
     scene = cs.load_scene(HERE.parent / "examples" / "spreading.toml")
     if not quick:
         page.sweep(full_order_sweep(scene, 10.0, "full order, spreading"))
-        pair = cs.load_scene(HERE.parent / "examples" / "two_cells.toml")
-        page.table("Table 4: two cells, 1500 s", ["model", "time"],
-                   table_4(pair, 5.0, np.arange(0.0, 1501.0)))  # fmt: skip
         page.table("effects on and off", ["scene", "time"], choices(scene, 5.0))
     page.write()
 

@@ -1,12 +1,18 @@
 from . import bondgraph, response
 from .accuracy import (
     Budget,
+    CostAxis,
     CostProblem,
     Setup,
     WorkPrecision,
     budget,
     by_step,
     by_tolerance,
+    cells_cost,
+    coupling_cost,
+    kinetics_cost,
+    order_cost,
+    runs_cost,
     work_precision,
 )
 from .bondgraph import BondGraph

@@ -1,0 +1,111 @@
+"""Coupled cells on one field against the full-order run of the same scene: error beside time."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from cellsys.accuracy.axes import CostAxis, CostRow
+from cellsys.errors import ParameterError
+from cellsys.population import LoadPorts, couple
+from cellsys.scene import Scene
+from cellsys.trajectory import Trajectory
+
+
+def step_commands(scene: Scene, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean amplitude and heading of every cell's commands over the steps of t.
+
+    Parameters
+    ----------
+    scene : Scene
+        Every cell with commands, its own or the scene's.
+    t : (T,)
+        s.
+
+    Returns
+    -------
+    amplitude, heading : (T - 1, K)
+    """
+    each = [cell.commands or scene.commands for cell in scene.cells]
+    if any(c is None for c in each):
+        raise ParameterError(
+            f"a cell of scene {scene.name!r} has no commands; give it commands, so that full-order "
+            "and reduced cells are asked for the same"
+        )
+
+    def mean(history: Any, default: float) -> np.ndarray:
+        if history is None:
+            return np.full(len(t) - 1, default)
+        inner = [np.linspace(a, b, 5) for a, b in itertools.pairwise(t)]
+        return np.array([np.mean([history(s) for s in times]) for times in inner])
+
+    return (
+        np.column_stack([mean(c.amplitude, 1.0) for c in each]),
+        np.column_stack([mean(c.heading, 0.0) for c in each]),
+    )
+
+
+def cells_cost(
+    models: Sequence[Any],
+    field: Any,
+    scene: Scene,
+    truth: Trajectory,
+    full_order: Mapping[str, Trajectory] | None = None,
+    *,
+    repeats: int = 2,
+) -> CostAxis:
+    """Time and error of trained cells on one field, beside full-order runs of the same scene.
+
+    Parameters
+    ----------
+    models : sequence of EquivariantModel
+        Each is put at every cell's place of the scene by `LoadPorts`.
+    field : GalerkinField or full field
+    scene : Scene
+        With commands for every cell.
+    truth : Trajectory
+        The full-order run that errors are against.
+    full_order : mapping of str to Trajectory, optional
+        Other full-order runs of the scene, at a coarser step, say; times are those they took.
+    repeats : int
+        Runs behind a time; the fastest counts. Training and the field's modes are not in it.
+
+    Notes
+    -----
+    Errors: rms difference over rms motion, of all cells' nodes and of the matrix.
+    """
+    K = len(scene.cells)
+    names = [f"cell{k + 1}.position" for k in range(K)]
+    matrix = "matrix.displacement"
+    rows = []
+    for model in models:
+        every = max(1, round(model.dt / (truth.t[1] - truth.t[0])))
+        t = truth.t[::every]
+        amplitude, heading = step_commands(scene, t)
+        places = np.array([c.position for c in scene.cells])
+        cells = couple(model, coupling=LoadPorts(field, places))
+        runs = [cells.simulate(t, amplitude=amplitude, heading=heading) for _ in range(repeats)]
+        nodes, u = cells.nodes(runs[0]), cells.matrix_displacement(runs[0])
+        body = np.stack([truth.block(n)[::every] for n in names], axis=1)
+        errors = {
+            "cells": _missed(nodes, body[0], body),
+            "matrix": _missed(u, 0.0, truth.block(matrix)[::every]),
+        }
+        seconds = min(float(r.statistics["wall_time"]) for r in runs)
+        rows.append(CostRow(f"{model.order} latent variables", seconds, errors))
+    for name, run in (full_order or {}).items():
+        body, other = (np.stack([r.block(n) for n in names], axis=1) for r in (truth, run))
+        errors = {
+            "cells": _missed(other, body[0], body),
+            "matrix": _missed(run.block(matrix), 0.0, truth.block(matrix)),
+        }
+        rows.append(CostRow(name, float(run.statistics["wall_time"]), errors))
+    span = truth.t[-1] - truth.t[0]
+    return CostAxis(f"{K} cells, {span:g} s", tuple(rows))
+
+
+def _missed(found: np.ndarray, rest: Any, truth: np.ndarray) -> float:
+    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth - rest))
