@@ -3,9 +3,13 @@
 import json
 import os
 import re
+import resource
+from contextlib import contextmanager
 from io import BytesIO
 
 import numpy as np
+
+from tests.loop.systems import make
 
 EXTREMES = (
     "0", "-1", "1e9", "1000000000", "1e12 s", "1e-12 s", "1e300 um", "nan", "inf", "-inf",
@@ -155,3 +159,34 @@ except CellsysError as error:
 def header(metadata=META):
     """The header entry of a model file."""
     return np.array(json.dumps(HEADER | {"metadata": metadata}))
+
+
+@contextmanager
+def bounded(gigabytes):
+    """The block must not raise the peak of resident memory by more than this."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    yield
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1e6
+    assert grown < gigabytes, f"peak memory grew by {grown:.2f} GB"
+
+
+@contextmanager
+def nothing_outside(folder):
+    """The block works in `folder` / work, and writes nothing beside it."""
+    (folder / "work").mkdir()
+    (folder / "witness").write_text("as it was")
+    yield folder / "work"
+    assert sorted(p.name for p in folder.iterdir()) == ["witness", "work"]
+    assert (folder / "witness").read_text() == "as it was"
+
+
+def model_file(folder, seed=0):
+    """A saved closed-loop model, and the model."""
+    model = make(seed=seed).model
+    return model.save(folder / "m.npz"), model
+
+
+def same_model(a, b):
+    return all(
+        np.array_equal(getattr(a, k), getattr(b, k), equal_nan=True) for k in ("A", "B", "offset")
+    )
