@@ -2,6 +2,7 @@
 
 import csv
 import json
+import time
 from itertools import pairwise
 
 import numpy as np
@@ -169,26 +170,41 @@ def test_refusals():
         Setup("none", lambda p, s: None)
 
 
+def fastest_in_turns(problem, *choices):
+    """Fastest of seven solves of each (setup, setting), s, in turns: other load hits all alike."""
+    best = [np.inf] * len(choices)
+    for _ in range(7):
+        for k, (setup, setting) in enumerate(choices):
+            began = time.perf_counter()
+            setup.solve(problem, setting)
+            best[k] = min(best[k], time.perf_counter() - began)
+    return best
+
+
 @pytest.mark.slow
 def test_budgets_meet_their_error_and_cost_little_more_than_the_best():
-    """Ten loops: met on held-out headings in 9 of 10, within 2x of an exhaustive search."""
+    """Ten loops on held-out headings: met in 9, and in 9 within 2x of an exhaustive search."""
+    t = np.arange(0.0, 101.0, 2.0)
+    tolerances = [10.0**-k for k in range(1, 9)]
+    every = {m.__name__: by_tolerance(m, tolerances)
+             for m in (cs.Exponential, cs.LSODA, cs.DOP853)}  # fmt: skip
+    references = by_tolerance(cs.Exponential, [1e-11]), by_tolerance(cs.CVODES, [1e-11])
     met, ratios = [], []
     for seed in range(10):
         loop = make(seed, m=12, gain=0.3)
         error = 10.0 ** -(2 + seed % 5)
-        found = budget(loop, error=error, t=T, seed=seed)
-        rng = np.random.default_rng(1000 + seed)
-        angle = rng.uniform(-np.pi, np.pi)
-        p0 = np.array([np.cos(angle), np.sin(angle), 0.0])
-        start = np.concatenate([loop.z0, p0])
-        case = CostProblem("held out", loop.system, T, start)
-        single = by_tolerance(type(found.integrator), [found.integrator.rtol])
-        every = [by_tolerance(m, [10.0**-k for k in range(1, 9)])
-                 for m in (cs.Exponential, cs.LSODA, cs.DOP853)]  # fmt: skip
-        references = by_tolerance(cs.Exponential, [1e-11]), by_tolerance(cs.CVODES, [1e-11])
-        sweep = work_precision([single, *every], case, references, agree=1e-6)
-        met.append(sweep.points[0].error <= error)
-        ratios.append(sweep.points[0].seconds / sweep.cheapest(error).seconds)
+        found = budget(loop, error=error, t=t, seed=seed)
+        angle = np.random.default_rng(1000 + seed).uniform(-np.pi, np.pi)
+        start = np.concatenate([loop.z0, [np.cos(angle), np.sin(angle), 0.0]])
+        case = CostProblem("held out", loop.system, t, start)
+        sweep = work_precision(list(every.values()), case, references, repeats=2, agree=1e-6)
+        best = sweep.cheapest(error)
+        name, setting = type(found.integrator).__name__, found.integrator.rtol
+        mine = next(p for p in sweep.points if p.setup == name and p.setting == setting)
+        ours, least = fastest_in_turns(
+            case, (every[name], setting), (every[best.setup], best.setting)
+        )
+        met.append(mine.error <= error)
+        ratios.append(ours / least)
     assert np.mean(met) >= 0.9
-    # Times on a loaded machine scatter by a factor; the median does not.
-    assert np.median(ratios) < 2.0
+    assert np.mean(np.array(ratios) <= 2.0) >= 0.9, ratios
