@@ -186,7 +186,8 @@ def main() -> None:
         print(f"\n{title}\n{label:>30s}{'naive':>12s}{'cellsys':>12s}")
         for row in rows:
             print(f"{row[0]:30.3g}{row[1]:12.1e}{row[2]:12.1e}")
-    print("\nshape 20 s after a shifted start (nm)\n" + f"{'shift':>20s}{'5 nm':>12s}{'100 nm':>12s}")
+    print("\nshape 20 s after a shifted start (nm)")
+    print(f"{'shift':>20s}{'5 nm':>12s}{'100 nm':>12s}")
     for kinetics in ("clutch", "switching"):
         found = [1e3 * shifted(kinetics, s) for s in (0.005, 0.1)]
         print(f"{kinetics:>20s}{found[0]:12.2g}{found[1]:12.2g}")
