@@ -22,30 +22,35 @@ def step_commands(scene: Scene, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Parameters
     ----------
     scene : Scene
-        Every cell with commands, its own or the scene's.
+        Every cell with a commanded heading, its own or the scene's.
     t : (T,)
         s.
 
     Returns
     -------
     amplitude, heading : (T - 1, K)
+
+    Raises
+    ------
+    ParameterError
+        A cell that its polarity law steers.
     """
     each = [cell.commands or scene.commands for cell in scene.cells]
-    if any(c is None for c in each):
+    if any(c.heading is None for c in each):
         raise ParameterError(
-            f"a cell of scene {scene.name!r} has no commands; give it commands, so that full-order "
-            "and reduced cells are asked for the same"
+            f"a cell of scene {scene.name!r} has no commanded heading; give it one, so that "
+            "full-order and reduced cells are asked for the same"
         )
 
-    def mean(history: Any, default: float) -> np.ndarray:
-        if history is None:
-            return np.full(len(t) - 1, default)
+    def mean(history: Any) -> np.ndarray:
+        if history is None:  # amplitude: as it is
+            return np.ones(len(t) - 1)
         inner = [np.linspace(a, b, 5) for a, b in itertools.pairwise(t)]
         return np.array([np.mean([history(s) for s in times]) for times in inner])
 
     return (
-        np.column_stack([mean(c.amplitude, 1.0) for c in each]),
-        np.column_stack([mean(c.heading, 0.0) for c in each]),
+        np.column_stack([mean(c.amplitude) for c in each]),
+        np.column_stack([mean(c.heading) for c in each]),
     )
 
 
