@@ -105,8 +105,8 @@ def _unit(text: str) -> tuple[float, Dimension]:
         if match and match[1] in _SI:
             scale, dimension = _SI[match[1]]
         else:
-            scale, (length, force, time, _) = parse_unit(match[1] if match else token)
-            dimension = (int(length), int(force), int(time), 0)
+            scale, exponents = parse_unit(match[1] if match else token)
+            dimension = (*(int(e) for e in exponents[:3]), 0)
             scale *= 1e-6 ** dimension[0] * 1e-12 ** dimension[1]
         factor *= scale**power
         total = _times((total, 1), (dimension, power))

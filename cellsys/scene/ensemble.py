@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
@@ -13,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cellsys.errors import FileFormatError, ParameterError
+from cellsys.errors import BudgetError, FileFormatError, ParameterError
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.simulate import record_shapes, simulate, trajectory_of
 from cellsys.scene.build import build
@@ -217,6 +219,13 @@ def _gather(waiting: set[Future], told: Callable[[int], None]) -> None:
             for future in finished:
                 future.result()
             told(len(finished))
+    except BrokenProcessPool:
+        # Ctrl-C reaches the workers first: our own interrupt surfaces while we wait.
+        time.sleep(1.0)
+        raise BudgetError(
+            "a worker process ended before its run was done, killed or out of memory; use fewer "
+            "workers, and resume to go on from the last checkpoint"
+        ) from None
     finally:
         for future in waiting:
             future.cancel()

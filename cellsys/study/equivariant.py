@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cellsys.errors import CellsysError
+from cellsys.errors import CellsysError, FileFormatError
 from cellsys.loop import PolarityLaw, closed_loop
-from cellsys.reduction import Equivariant, EquivariantModel, Snapshots, snapshots
+from cellsys.reduction import Equivariant, EquivariantModel, LatentModel, Snapshots, snapshots
 from cellsys.reduction.equivariant.records import read_records
+from cellsys.reduction.provenance import data_hash
 from cellsys.response import margins
 from cellsys.scene import Scene
+from cellsys.store.hashing import fingerprint
 from cellsys.study.measure import OrderRow
 from cellsys.trajectory import Trajectory
+from cellsys.version import __version__
 
 ORDER = 50
 
@@ -69,13 +73,11 @@ class EquivariantStudy:
 
 
 def study_equivariant(
-    scene: Scene, data: Snapshots, test: Snapshots, main: Trajectory
+    scene: Scene, data: Snapshots, test: Snapshots, main: Trajectory, kept: Path
 ) -> EquivariantStudy:
-    """Learn the model and run its loop; without one, say why."""
+    """Learn the model (or read it from `kept`) and run its loop; without one, say why."""
     try:
-        method = Equivariant()
-        order = min(ORDER, max(5, data.n_samples // 10))
-        model = method.learn(data, order, test)
+        model = _learned(data, test, kept)
     except CellsysError as error:
         return EquivariantStudy(None, None, {}, {"why_not": str(error)}, str(error))
     run, gap, loop_table = _loop(scene, model, main)
@@ -90,6 +92,23 @@ def study_equivariant(
         "loop": loop_table,
     }
     return EquivariantStudy(model, run, gap, table)
+
+
+def _learned(data: Snapshots, test: Snapshots, kept: Path) -> EquivariantModel:
+    """The model of these runs; kept in a file, whose key is the data, the method and us."""
+    method, order = Equivariant(), min(ORDER, max(5, data.n_samples // 10))
+    key = fingerprint([data_hash(data), data_hash(test), repr(method), order], __version__)
+    if kept.exists():
+        try:
+            model = LatentModel.load(kept)
+        except FileFormatError:
+            model = None  # written by another version, or damaged: learn it again
+        if model is not None and model.notes.get("key") == key:
+            return model
+    model = method.learn(data, order, test)
+    model = model.carrying(notes={**model.notes, "key": key})
+    model.save(kept)
+    return model
 
 
 def sweep_row(model: EquivariantModel, steps: int) -> OrderRow:

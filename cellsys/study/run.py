@@ -188,7 +188,7 @@ def study(
     say("loop", 1.0)
 
     say("equivariant", 0.0)
-    charges = study_equivariant(scene, data, test, main)
+    charges = study_equivariant(scene, data, test, main, cache / "equivariant.npz")
     if charges.model is not None:
         steps = round(sweep.horizon_s / charges.model.dt)
         row = sweep_row(charges.model, steps)
