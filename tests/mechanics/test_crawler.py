@@ -155,7 +155,7 @@ def test_switch_times_within_1e_7(reference):
     assert np.abs(times[0] - times[1]).max() <= 1e-7
 
 
-def test_sixty_switches():
+def test_sixty_switches_by_an_explicit_method():
     system, method = build_crawlers([Crawler()]), DOP853(rtol=1e-8, atol=1e-10)
     run = simulate(system, method, np.linspace(0, 28, 281))
     assert len(run.events) >= 60
