@@ -366,6 +366,8 @@ def test_interrupt_says_how_to_go_on(tmp_path):
         [sys.executable, "-m", "cellsys", "run", "s.toml", "-o", "out"],
         cwd=tmp_path, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
+        # A shell that runs the tests in the background hands down SIGINT as ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     runs, deadline = tmp_path / "out" / "runs", time.monotonic() + 60
     while not list(runs.glob("*.partial/header.json")) and time.monotonic() < deadline:

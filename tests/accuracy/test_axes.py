@@ -90,6 +90,7 @@ def scene():
     return dataclasses.replace(base, matrix=matrix, cells=(cell,), training=training, duration=60.0)
 
 
+@pytest.mark.slow
 def test_kinetics_beside_five_nanometres(scene):
     found = cs.kinetics_cost(scene, np.array([0.0, 2.0, 4.0]))
     assert [r.setting for r in found.rows] == ["clutch", "switching"]

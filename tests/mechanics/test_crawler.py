@@ -315,6 +315,7 @@ def outcomes(n, seed):
     return found
 
 
+@pytest.mark.slow
 def test_random_parameters_finish_stall_or_stop_with_a_reason():
     found = outcomes(60, 1)
     assert found["finished"] > 0

@@ -198,6 +198,7 @@ def test_many_cells_stay_bounded(field):
     assert np.abs(run.block("z")[:, :, :-2]).max() < 5 * np.abs(alone.block("z")[:, 0, :-2]).max()
 
 
+@pytest.mark.slow
 def test_far_apart_equals_isolated(field):
     """The farther the neighbour, the smaller its effect."""
     m, t = model(field=field), np.arange(0.0, 51.0, 10.0)
