@@ -12,6 +12,7 @@ called directly.
 import argparse
 import dataclasses
 import html
+import tempfile
 import time
 from functools import partial
 from pathlib import Path
@@ -293,10 +294,16 @@ class Page:
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--out", type=Path, default=Path("out/accuracy_cost"))
+    parser.add_argument("--out", type=Path, help="folder of the page and its runs")
     given = parser.parse_args()
-    quick = given.quick
-    page = Page(given.out)
+    if given.out is not None:
+        return everything(given.quick, given.out)
+    with tempfile.TemporaryDirectory() as scratch:
+        return everything(given.quick, Path(scratch))
+
+
+def everything(quick, out):
+    page = Page(out)
     m, end, repeats = (20, 120.0, 1) if quick else (100, 3000.0, 5)
     t, tolerances = np.arange(0.0, end + 1.0), TOLERANCES[1:8:3] if quick else TOLERANCES
     loop = latent_loop(m)
@@ -317,7 +324,7 @@ def main():
     few, span = ([2], 30.0) if quick else ([2, 10, 100, 1000], 300.0)
     page.axis(cs.coupling_cost(cell(10 if quick else 20), few,
                                np.arange(0.0, span + 1.0, 10.0), cs.Feedback()))  # fmt: skip
-    trained(page, quick, given.out / "runs")
+    trained(page, quick, out / "runs")
     page.sweep(crawler_sweep(1.0 if quick else 12.0, 1))
     scene = cs.load_scene(HERE.parent / "examples" / "spreading.toml")
     if not quick:

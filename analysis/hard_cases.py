@@ -173,10 +173,10 @@ SWEEPS = (coupling, lags, antipode, conditioning, damping, switches)
 
 
 def main() -> None:
-    """Table on standard output, figure in the output folder."""
+    """Table on standard output, figure in the output folder where one is given."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--quick", action="store_true", help="fewer points")
-    parser.add_argument("--out", type=Path, default=Path("out") / "hard_cases")
+    parser.add_argument("--out", type=Path, help="folder of the figure")
     given = parser.parse_args()
     figure, axes = sheet((12.0, 7.0), 2, 3)
     for sweep, ax in zip(SWEEPS, axes.flat, strict=True):
@@ -191,7 +191,8 @@ def main() -> None:
     for kinetics in ("clutch", "switching"):
         found = [1e3 * shifted(kinetics, s) for s in (0.005, 0.1)]
         print(f"{kinetics:>20s}{found[0]:12.2g}{found[1]:12.2g}")
-    print(f"\nfigure: {save_png(figure, given.out / 'hard_cases.png')}")
+    if given.out is not None:
+        print(f"\nfigure: {save_png(figure, given.out / 'hard_cases.png')}")
 
 
 if __name__ == "__main__":

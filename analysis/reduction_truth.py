@@ -3,15 +3,17 @@
     python analysis/reduction_truth.py [--quick] [--out DIR]
 
 Homogeneous disc of the shipped parameters, runs from the sphere with turning headings, varying
-amplitudes and loads on the matrix; held-out runs have other seeds, headings and places. Runs are
-kept in DIR, so a second call only fits. Prints, for held-out roll-outs with the commands as only
-input: errors by order beside projection floor and baselines, one-step against roll-out training,
-what contraction costs and buys, one constant-heading run for all headings, the realisation floor,
-the start shifted by 5 and 100 nm, coverage of the error bands, the cell closed with its field.
+amplitudes and loads on the matrix; held-out runs have other seeds, headings and places. With --out
+runs are kept in DIR, so that a second call only fits. Prints, for held-out roll-outs with the
+commands as only input: errors by order beside projection floor and baselines, one-step against
+roll-out training, what contraction costs and buys, one constant-heading run for all headings, the
+realisation floor, the start shifted by 5 and 100 nm, coverage of the error bands, the cell closed
+with its field.
 """
 
 import argparse
 import dataclasses
+import tempfile
 import time
 from pathlib import Path
 
@@ -133,7 +135,10 @@ def line(name: str, rows: dict) -> str:
     )
 
 
-def main(quick: bool = False, out: str = "out/reduction_truth") -> None:
+def main(quick: bool = False, out: str | None = None) -> None:
+    if out is None:
+        with tempfile.TemporaryDirectory() as scratch:
+            return main(quick, scratch)
     data = Data(quick, Path(out) / "runs")
     small, large = ("turning",), ("turning", "more", "loaded")
     orders = (8, 16) if quick else (10, 20, 50, 100, 200)
@@ -238,6 +243,6 @@ def main(quick: bool = False, out: str = "out/reduction_truth") -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--out", default="out/reduction_truth")
+    parser.add_argument("--out", help="folder that keeps the runs")
     arguments = parser.parse_args()
     main(arguments.quick, arguments.out)

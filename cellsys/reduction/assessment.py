@@ -188,6 +188,7 @@ class Encoded:
     runs: list[np.ndarray]
     motion: np.ndarray
     training: Snapshots | None = None
+    read: dict = field(default_factory=dict, repr=False)
     kept: dict = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -208,7 +209,7 @@ class Encoded:
         if i not in self.kept:
             self.kept[i] = baselines(data.runs[i], rows, self.motion)
             if self.training is not None:
-                more = command_baselines(self.training, data.runs[i], rows)
+                more = command_baselines(self.training, data.runs[i], rows, self.read)
                 self.kept[i] = {k: v | more.get(k, {}) for k, v in self.kept[i].items()}
         if (i, model.order) not in self.kept:
             self.kept[i, model.order] = floors(model, data.runs[i], rows, self.runs[i])

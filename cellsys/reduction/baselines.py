@@ -17,11 +17,15 @@ _TIMES = 151  # at most so many samples of a run are compared
 
 
 def command_baselines(
-    training: Snapshots, run: RunData, rows: Mapping[str, np.ndarray | slice]
+    training: Snapshots,
+    run: RunData,
+    rows: Mapping[str, np.ndarray | slice],
+    read: dict[tuple[int, int], np.ndarray],
 ) -> dict[str, dict[str, float]]:
     """Relative errors {block: {name: error}} of both on one run; empty without commands.
 
-    A training run is never predicted from itself; the linear one needs four others.
+    A training run is never predicted from itself; the linear one needs four others. `read` keeps
+    what was read of the training runs for the next call.
     """
     known = [r for r in training.runs if r is not run and len(r.x) >= len(run.x)]
     columns = [
@@ -38,8 +42,10 @@ def command_baselines(
         return mean[np.maximum(at, 1) - 1]
 
     def motion(r: RunData) -> np.ndarray:
-        x = np.stack([read_rows(r.x, int(k), int(k) + 1)[0] for k in at])
-        return x - x[0]
+        if (id(r), T) not in read:
+            x = np.stack([read_rows(r.x, int(k), int(k) + 1)[0] for k in at])
+            read[id(r), T] = x - x[0]
+        return read[id(r), T]
 
     truth, own = motion(run), push(run)
     pushes = np.array([push(r) for r in known])
@@ -50,7 +56,8 @@ def command_baselines(
         for k in range(len(at)):
             design = np.column_stack([np.ones(len(known)), pushes[:, k]])
             weights = sla.lstsq(design.T, np.append(1.0, own[k]), cond=1e-8)[0]
-            linear[k] = weights @ np.array([m[k] for m in moved])
+            for weight, m in zip(weights, moved, strict=True):
+                linear[k] += weight * m[k]
         found["linear in polarity"] = linear
     out: dict[str, dict[str, float]] = {}
     for block, cols in rows.items():
