@@ -13,7 +13,7 @@ import scipy.linalg as sla
 
 from cellsys.reduction.snapshots import RunData, Snapshots, read_rows
 
-_TIMES = 151  # at most so many samples of a run are compared
+_TIMES = 61  # at most so many samples of a run are compared
 
 
 def command_baselines(
