@@ -6,6 +6,7 @@ traceback, nothing half-written).
 
 from __future__ import annotations
 
+import os
 import sys
 
 from cellsys.cli import cost, couple, effects, models, scenes, sweep
@@ -16,6 +17,9 @@ __all__ = ["app", "cost", "couple", "effects", "main", "models", "scenes", "swee
 
 def main() -> None:
     """Entry point of ``cellsys`` and ``python -m cellsys``."""
+    # Vectors here are short: a second BLAS thread costs time. Numpy is not loaded yet.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     from cellsys.errors import CellsysError, IntegrationError
 
     try:
