@@ -200,12 +200,16 @@ class Laws:
                 (lambda v, s: ratio(s) * v) if direct else (lambda v, s: v / ratio(s))
             )
         elif o.constant is not None:
-            law = lambda v, s: sign * o.constant.reshape(o.shape) * v if o.shape else (  # noqa: E731
-                sign * float(o.constant[0]) * v
-            )
+            factor = sign * (o.constant.reshape(o.shape) if o.shape else float(o.constant[0]))
+
+            def law(v: Any, s: Any) -> Any:
+                return factor * v
         else:
             function = element.law if o.quantity == "e" else element.inverse
-            law = lambda v, s: sign * function(v)  # noqa: E731
+
+            def law(v: Any, s: Any) -> Any:
+                return sign * function(v)
+
             solvable = element.monotone
         rows = structure.inner[seen]
         A = [rows @ Y for Y in (structure.Y_x, structure.Y_eta, structure.Y_s)]

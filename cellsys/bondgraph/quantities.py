@@ -106,6 +106,8 @@ def _unit(text: str) -> tuple[float, Dimension]:
             scale, dimension = _SI[match[1]]
         else:
             scale, exponents = parse_unit(match[1] if match else token)
+            if any(exponents[4:]):
+                raise UnitError(f"{token!r} is a temperature, which bond graphs here do not carry")
             dimension = (*(int(e) for e in exponents[:3]), 0)
             scale *= 1e-6 ** dimension[0] * 1e-12 ** dimension[1]
         factor *= scale**power

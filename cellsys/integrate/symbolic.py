@@ -56,8 +56,8 @@ class CVODES:
 class IDAS:
     """Variable-order BDF of SUNDIALS for implicit systems, through CasADi.
 
-    Parameters are those of `CVODES`. It starts less easily on very stiff systems (the van der
-    Pol equation at eps = 1e-6, say) and then fails with an `IntegrationError`.
+    Parameters are those of `CVODES`. Where it cannot start or go on it fails with an
+    `IntegrationError` that gives CasADi's reason.
     """
 
     rtol: float
