@@ -84,6 +84,7 @@ from .population import (
     CoupledCells,
     CoupledStability,
     Feedback,
+    FieldSensor,
     ForceMap,
     InteractionGraph,
     LinearField,

@@ -93,6 +93,9 @@ class Trajectory(Drawable):
         Polarity and sensed direction of each cell.
     amplitude : array (T, cells), optional
         Lamellipodium amplitude (1 = nominal).
+    virial, stiffness : array (T, N), optional
+        At every matrix node: tension times length of its tense fibres, pN um, and the sum of
+        their tangent stiffnesses, pN/um. Stored where a cell senses.
     eta_start : array (n_eta,), optional
         The laws at (t_0, x_0), not averaged: what a latent initial state is made from.
     events : tuple of Event
@@ -119,6 +122,8 @@ class Trajectory(Drawable):
     p: np.ndarray | None = None
     d: np.ndarray | None = None
     amplitude: np.ndarray | None = None
+    virial: np.ndarray | None = None
+    stiffness: np.ndarray | None = None
     eta_start: np.ndarray | None = None
     events: tuple[Event, ...] = ()
     statistics: Mapping[str, Any] = field(default_factory=dict)

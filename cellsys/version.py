@@ -1,3 +1,3 @@
 """The version of cellsys, in one place; `store` keys depend on it."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

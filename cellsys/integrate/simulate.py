@@ -240,6 +240,8 @@ def trajectory_of(
         p=arrays.get("p"),
         d=arrays.get("d"),
         amplitude=arrays.get("amplitude"),
+        virial=arrays.get("virial"),
+        stiffness=arrays.get("stiffness"),
         eta_start=arrays.get("eta_start"),
         events=events,
         statistics=statistics,

@@ -19,21 +19,46 @@ def nodal_sum(n_nodes: int, fibres: np.ndarray, value: np.ndarray) -> np.ndarray
     return np.bincount(fibres[:, 0], value, n_nodes) + np.bincount(fibres[:, 1], value, n_nodes)
 
 
-def _direction(
+def tensile_virial(n_nodes: int, fibres: np.ndarray, virial: np.ndarray) -> np.ndarray:
+    """Sum (n_nodes,) of tension times length over the tense fibres at each node, pN um.
+
+    The trace of the nodal virial, of fibres in tension alone; over the node's volume it is a
+    stress. virial (m,): tension times length of each fibre, pN um.
+    """
+    return nodal_sum(n_nodes, fibres, np.maximum(virial, 0.0))
+
+
+def measure_moment(
+    nodes: np.ndarray, measure: np.ndarray, center: np.ndarray, inner: float, reach: float
+) -> tuple[np.ndarray, float]:
+    """q (2,) and S of a nodal measure (n,) about `center`; `inner` 0 takes the whole disc.
+
+    nodes (n, 2) or (n, 3) um; q and S in the unit of the measure.
+    """
+    offset = nodes[:, :2] - center[:2]
+    rho = np.sqrt((offset**2).sum(axis=1) + 1e-12)
+    window = 1.0 - smoothstep(rho, reach - 1.0, reach)
+    if inner > 0:
+        window = window * smoothstep(rho, inner, inner + 1.0)
+    weight = window * measure
+    return (weight / rho) @ offset, float(np.abs(weight).sum())
+
+
+def sensed_direction(
     nodes: np.ndarray,
     measure: np.ndarray,
     center: np.ndarray,
     p: np.ndarray,
-    window: np.ndarray,
-    away: np.ndarray,
+    inner: float,
+    reach: float,
     threshold: float,
 ) -> np.ndarray:
-    weight = window * measure
-    q = np.array([*(weight @ away), 0.0])
+    """Unit direction (3,) of the moment of a nodal measure; p where nothing stands out."""
+    q, total = measure_moment(nodes, measure, center, inner, reach)
     strength = float(np.hypot(q[0], q[1]))
-    if strength <= threshold * float(np.abs(weight).sum()) or strength == 0.0:
+    if strength <= threshold * total or strength == 0.0:
         return np.array(p, dtype=float)
-    return q / strength
+    return np.array([*(q / strength), 0.0])
 
 
 def stiffest_direction(
@@ -49,11 +74,8 @@ def stiffest_direction(
 
     nodes (n, 3) um; fibres (m, 2); stiffness (m,) tangent, pN/um; center, p (3,).
     """
-    offset = nodes[:, :2] - center[:2]
-    rho = np.sqrt((offset**2).sum(axis=1) + 1e-12)
     measure = nodal_sum(len(nodes), fibres, stiffness)
-    window = 1.0 - smoothstep(rho, reach - 1.0, reach)
-    return _direction(nodes, measure, center, p, window, offset / rho[:, None], threshold)
+    return sensed_direction(nodes, measure, center, p, 0.0, reach, threshold)
 
 
 def stress_direction(
@@ -70,8 +92,5 @@ def stress_direction(
 
     virial (m,): tension times length of each fibre, pN um; compression does not count.
     """
-    offset = nodes[:, :2] - center[:2]
-    rho = np.sqrt((offset**2).sum(axis=1) + 1e-12)
-    measure = nodal_sum(len(nodes), fibres, np.maximum(virial, 0.0))
-    window = smoothstep(rho, inner, inner + 1.0) * (1.0 - smoothstep(rho, reach - 1.0, reach))
-    return _direction(nodes, measure, center, p, window, offset / rho[:, None], threshold)
+    measure = tensile_virial(len(nodes), fibres, virial)
+    return sensed_direction(nodes, measure, center, p, inner, reach, threshold)

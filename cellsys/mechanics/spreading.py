@@ -264,7 +264,10 @@ class SpreadingSystem(OverdampedSystem):
         if not self._senses:
             # Nothing is sensed: a direction that only repeats p is no measurement to learn from.
             out.pop("d", None)
-        return {name: np.array(values) for name, values in out.items()}
+        read = {name: np.array(values) for name, values in out.items()}
+        for element in self.elements:
+            read |= element.measure(s)
+        return read
 
     # OverdampedSystem
 

@@ -72,7 +72,7 @@ def until_contact(run: Trajectory, gap: float = 0.0) -> Trajectory:
     time, k, who = first
     keep = max(k, 1)
     rows = {n: None if getattr(run, n) is None else getattr(run, n)[:keep]
-            for n in ("p", "d", "amplitude")}  # fmt: skip
+            for n in ("p", "d", "amplitude", "virial", "stiffness")}  # fmt: skip
     steps = {n: None if getattr(run, n) is None else getattr(run, n)[: keep - 1]
              for n in ("eta", "u")}  # fmt: skip
     events = (*(e for e in run.events if e.time <= time), Event(time, "contact", who))

@@ -2,6 +2,7 @@
 
 from cellsys.population.cells import CoupledCells
 from cellsys.population.couple import couple
+from cellsys.population.field_sensor import FieldSensor
 from cellsys.population.footprint import LinearField, PatchPort
 from cellsys.population.forms import Feedback, MappedSuperposition, Superposition
 from cellsys.population.graph import InteractionGraph
@@ -17,6 +18,7 @@ __all__ = [
     "CoupledCells",
     "CoupledStability",
     "Feedback",
+    "FieldSensor",
     "FieldSplit",
     "ForceMap",
     "InteractionGraph",

@@ -17,6 +17,7 @@ from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.integrate.simulate import check_times
 from cellsys.loop import PolarityLaw
+from cellsys.population.field_sensor import FieldSensor
 from cellsys.population.headings import turn
 from cellsys.population.load_ports import PortedCells
 from cellsys.population.polar import frozen_port, polar_gather
@@ -38,7 +39,9 @@ class EquivariantCells(Drawable):
         Field, positions and headings.
     controller : PolarityLaw or None
         None: headings keep their values, or follow the commands given to `simulate`.
-    sensor : StiffnessSensor or None
+    sensor : StiffnessSensor, FieldSensor or None
+        A `FieldSensor` reads the matrix all cells share, so that they turn to each other's
+        strain; the others read the cell's own state.
     normalise : bool
         Scale the sensed direction to unit length.
     """
@@ -177,18 +180,18 @@ class EquivariantCells(Drawable):
 
         def record() -> None:
             z = self.model.dynamics.join(state.cells)
-            rows.append((z, state.q, p.copy(), self._sensed(z)))
+            rows.append((z, state.q, p.copy(), self._sensed(state, p)))
 
         record()
         wanted = set(marks[1:].tolist())
         for k in range(steps):
             if law is not None:
-                p = turn(loop, p, self._sensed(self.model.dynamics.join(state.cells)), 0.5 * dt)
+                p = turn(loop, p, self._sensed(state, p), 0.5 * dt)
             angle = np.arctan2(p[:, 1], p[:, 0]) if heading is None else heading[k]
             state, used = whole.step(state, amplitude[k], angle, times[0] + k * dt, memory)
             most = max(most, used)
             if law is not None:
-                p = turn(loop, p, self._sensed(self.model.dynamics.join(state.cells)), 0.5 * dt)
+                p = turn(loop, p, self._sensed(state, p), 0.5 * dt)
             elif heading is not None:
                 p = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(K)])
             if k + 1 in wanted:
@@ -222,11 +225,13 @@ class EquivariantCells(Drawable):
             raise ParameterError(f"{name} holds NaN or inf")
         return np.array(np.broadcast_to(array, (steps, self.n_cells)))
 
-    def _sensed(self, z: np.ndarray) -> np.ndarray | None:
+    def _sensed(self, state: Any, p: np.ndarray) -> np.ndarray | None:
         if self.sensor is None:
             return None
-        d = self.sensor.raw(z)
-        return self.sensor.direction(z) if self.normalise else d
+        if isinstance(self.sensor, FieldSensor):
+            return self.sensor.directions(self.coupling.field, state.q, state.cells.place, p)
+        z = self.model.dynamics.join(state.cells)
+        return self.sensor.direction(z) if self.normalise else self.sensor.raw(z)
 
     def matrix_displacement(self, run: Trajectory) -> np.ndarray:
         """Displacements (T, n, 3) um of the matrix in a run."""

@@ -29,9 +29,9 @@ ROWS = 128  # rows of one block when streaming
 class RunData:
     """One run: x (T, n), eta and u (T - 1, .) averaged over the following intervals.
 
-    `commands` (T - 1, n_c) are the low-dimensional inputs behind u; `skip` lists intervals that
-    must not be used (an event happened in them); `eta_start` (n_eta,) are the laws at x_0;
-    `d` (T, cells, 3) is the sensed direction.
+    `commands` (T - 1, n_c) are the inputs behind u; `skip` lists intervals that must not be used
+    (an event happened in them); `eta_start` (n_eta,) are the laws at x_0; `d` (T, cells, 3) and
+    `virial` (T, N) are those of `Trajectory`.
     """
 
     x: np.ndarray
@@ -41,6 +41,7 @@ class RunData:
     skip: tuple[int, ...] = ()
     eta_start: np.ndarray | None = None
     d: np.ndarray | None = None
+    virial: np.ndarray | None = None
     label: str = ""
 
     @property
@@ -51,7 +52,7 @@ class RunData:
 
     def release(self) -> None:
         """Let go of memory-mapped pages; see `cellsys.store.release`."""
-        for array in (self.x, self.eta, self.u):
+        for array in (self.x, self.eta, self.u, self.virial):
             release(getattr(array, "_array", array))
 
     def usable(self) -> np.ndarray:
@@ -331,21 +332,19 @@ def _from_trajectories(runs: list[Trajectory], scale: str) -> Snapshots:
                 tuple(sorted({int(k) for k in hit})),
                 None if run.eta_start is None else np.asarray(run.eta_start)[keep_eta],
                 None if run.d is None else np.asarray(run.d),
+                run.virial,
                 run.label,
             )
         )
     return Snapshots(
-        tuple(data),
-        states,
-        auxiliaries,
-        dt,
+        tuple(data), states, auxiliaries, dt,
         sp.csr_array(first.W_x[keep_x][:, keep_x]),
         sp.csr_array(first.W_eta[keep_x][:, keep_eta]),
         names,
         scale,
         {"runs": [r.label for r in runs]},
         dict(first.geometry),
-    )
+    )  # fmt: skip
 
 
 def _columns(array: Any, keep: np.ndarray) -> Any:

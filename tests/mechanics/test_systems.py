@@ -5,6 +5,7 @@ import pytest
 
 from cellsys.errors import IntegrationError, SceneError
 from cellsys.integrate import LinearlyImplicit, simulate
+from cellsys.laws.sensing import measure_moment
 from cellsys.scene import Scene, build
 from tests.mechanics.scenes import small, table
 
@@ -79,6 +80,41 @@ def test_both_sensors_give_unit_directions(measure):
     run = simulate(system, LinearlyImplicit(step=0.5), T)
     assert np.abs(np.linalg.norm(run.d[:, 0], axis=1) - 1.0).max() < 1e-14
     assert not run.d[:, 0, 2].any()
+
+
+def test_nodal_stress_and_stiffness_are_stored_where_a_cell_senses():
+    """Against a loop over fibres; the direction stored beside them is that of the measure."""
+    system = small(stiffness_sensing={"measure": "stress", "inner": "2 um"})
+    run = simulate(system, LinearlyImplicit(step=0.5), T)
+    disc, n = system.matrix, len(system.matrix.position)
+    assert run.virial.shape == run.stiffness.shape == (len(T), n)
+    fibres = next(e for e in system.elements if e.name == "matrix.matrix_elasticity")
+    slope, tension = fibres.slopes(system.configuration(T[-1], run.x[-1].copy()))
+    virial, stiff = np.zeros(n), np.zeros(n)
+    for (i, j), t, length, g, k in zip(
+        disc.fibres, tension, disc.length, slope, disc.stiffness, strict=True
+    ):
+        for node in (i, j):
+            virial[node] += max(t, 0.0) * length
+            stiff[node] += g * k
+    assert virial.max() > 1.0
+    np.testing.assert_allclose(run.virial[-1], virial, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(run.stiffness[-1], stiff, rtol=1e-12)
+    place = run.block("cell1.position")[-1].mean(axis=0)
+    at = disc.position + run.block("matrix.displacement")[-1]
+    sensing = system.cells[0].effects["stiffness_sensing"]
+    q, total = measure_moment(at, virial, place, sensing.inner, sensing.reach)
+    assert np.hypot(*q) > sensing.threshold * total
+    np.testing.assert_allclose(run.d[-1, 0, :2], q / np.hypot(*q), atol=1e-12)
+
+
+def test_nothing_is_stored_that_no_cell_reads():
+    spec = table()
+    for name in ("stiffness_sensing", "polarity"):
+        spec["effects"].pop(name, None)
+    run = simulate(build(Scene.parse(spec)), LinearlyImplicit(step=0.5), T[:2])
+    assert run.virial is None
+    assert run.stiffness is None
 
 
 @pytest.mark.parametrize("law", ["linear", "buckling", "stiffening"])

@@ -9,6 +9,7 @@ from cellsys.reduction.local_sensor import (
     StiffnessMap,
     fit_local_sensor,
     sensor_from,
+    stress_moments,
 )
 
 RNG = np.random.default_rng(4)
@@ -60,9 +61,62 @@ def test_latent_inputs_win_where_they_are_the_truth():
     assert fit_local_sensor(z, d, known).inputs.startswith("latent state")
 
 
-def test_frozen_sensor_has_value_and_slope():
+def moments_of(z, seed=5):
+    """Moments of stress that are linear in z, and the directions that follow them."""
+    rng = np.random.default_rng(seed)
+    M = rng.standard_normal((2, z[0].shape[1]))
+    q = [part @ M.T for part in z]
+    flat = [v / np.linalg.norm(v, axis=1, keepdims=True) for v in q]
+    return q, [np.hstack([v, np.zeros((len(v), 1))]) for v in flat]
+
+
+def test_stress_wins_where_it_is_the_truth():
+    """d follows the direction of stress: not linear in z, but its moment is."""
     known = network()
-    sensor = fit_local_sensor(*runs(known), known)
+    z, _ = runs(known)
+    q, d = moments_of(z)
+    sensor = fit_local_sensor(z, d, known, moments=q)
+    assert sensor.inputs.startswith("stress")
+    assert sensor.training_error < 1.0
+    assert sensor.tried["latent state"] > 10 * sensor.tried[sensor.inputs]
+    without = fit_local_sensor(z, d, known)
+    assert not any("stress" in name for name in without.tried)
+    with pytest.raises(cs.DimensionError, match="moments"):
+        fit_local_sensor(z, d, known, moments=q[:-1])
+
+
+def test_squares_are_used_only_where_they_win():
+    known = network()
+    z, _ = runs(known)
+    x = [part[:, -2:] for part in z]
+    raw = [np.column_stack([1 + 0.2 * p[:, 0] ** 2, 0.3 * p[:, 0] * p[:, 1] - 1, 0 * p[:, 0]])
+           for p in x]  # fmt: skip
+    sensor = fit_local_sensor(z, raw, known)
+    assert "squares" in sensor.inputs
+    assert sensor.training_error < 0.01  # the smallest penalty, 1e-4, bends it by that much
+    straight = [np.column_stack([1 + 0.1 * p[:, 0], 0.1 * p[:, 1] - 1, 0 * p[:, 0]]) for p in x]
+    assert "squares" not in fit_local_sensor(z, straight, known).inputs
+
+
+def test_stress_moments_of_a_hand_made_field():
+    """All the stress at one node on the x axis: the moment points there, with that size."""
+    rest = np.array([[8.0, 0.0, 0.0], [0.0, 8.0, 0.0], [1.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
+    virial = np.array([[3.0, 0.0, 5.0, 7.0]])  # the last two are inside and beyond the shell
+    q = stress_moments(rest, np.zeros((1, 4, 3)), virial, np.zeros((1, 2)))
+    np.testing.assert_allclose(q, [[3.0, 0.0]], atol=1e-6)
+
+
+@pytest.mark.parametrize("truth", ["network", "stress", "squares"])
+def test_frozen_sensor_has_value_and_slope(truth):
+    known = network()
+    z, d = runs(known)
+    q, along = moments_of(z)
+    if truth == "stress":
+        d = along
+    elif truth == "squares":
+        d = [np.column_stack([1 + p[:, -1] ** 2, p[:, -2] * p[:, -1], 0 * p[:, 0]]) for p in z]
+    sensor = fit_local_sensor(z, d, known, moments=q)
+    assert {"network": "local", "stress": "stress", "squares": "squares"}[truth] in sensor.inputs
     z = np.append(RNG.standard_normal(6), [1.0, -2.0])
     linear = sensor.frozen(z)
     np.testing.assert_allclose(linear.raw(z), sensor.raw(z), atol=1e-12)
@@ -74,12 +128,18 @@ def test_frozen_sensor_has_value_and_slope():
 def test_arrays_bring_it_back():
     known = network()
     z, d = runs(known)
-    for sensor in (fit_local_sensor(z, d, known), cs.fit_sensor(z, d)):
+    q, along = moments_of(z)
+    for sensor in (
+        fit_local_sensor(z, d, known),
+        fit_local_sensor(z, along, known, moments=q),
+        cs.fit_sensor(z, d),
+    ):
         again = sensor_from(sensor.arrays())
         assert type(again) is type(sensor)
         np.testing.assert_array_equal(again.raw(z[0]), sensor.raw(z[0]))
         if isinstance(sensor, LocalSensor):
             assert again.inputs == sensor.inputs
+            assert again.tried == sensor.tried
 
 
 def test_bad_maps_are_refused():

@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.laws.fibre import NEVER, FibreLaw, axial_energy
+from cellsys.laws.sensing import nodal_sum, tensile_virial
 from cellsys.mechanics.effects.protocol import (
     Configuration,
     Effect,
@@ -97,6 +98,7 @@ class FibreElement(Element):
         self._assembly: StiffnessAssembly | None = None
         # Share of each fibre that is left, set by an effect that takes some away.
         self.intact: Callable[[Configuration], np.ndarray] | None = None
+        self.sensed = False  # whether a cell reads the nodal measures, which are then stored
 
     def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
         d = self.disc
@@ -133,6 +135,19 @@ class FibreElement(Element):
                 slope, tension = slope * self.intact(s), tension * self.intact(s)
             s.cache[self.name] = slope, tension
         return s.cache[self.name]
+
+    def measure(self, s: Configuration) -> dict[str, np.ndarray]:
+        """The nodal measures, where a cell senses; nothing is stored that nobody reads."""
+        return self.nodal(s) if self.sensed else {}
+
+    def nodal(self, s: Configuration) -> dict[str, np.ndarray]:
+        """Tensile ``virial`` (N,), pN um, and tangent ``stiffness`` (N,), pN/um, at the nodes."""
+        d, n = self.disc, len(self.disc.position)
+        slope, tension = self.slopes(s)
+        return {
+            "virial": tensile_virial(n, d.fibres, tension * d.length),
+            "stiffness": nodal_sum(n, d.fibres, slope * d.stiffness),
+        }
 
     def stiffness(self, s: Configuration) -> tuple[Stiffness, ...]:
         d = self.disc

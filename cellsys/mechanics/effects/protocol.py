@@ -257,6 +257,10 @@ class Element:
         """Read-outs of one cell stored with each sample: ``p``, ``d`` (3,), ``amplitude``."""
         return {}
 
+    def measure(self, s: Configuration) -> dict[str, np.ndarray]:
+        """Nodal measures stored with each sample, such as ``virial`` (n_nodes,)."""
+        return {}
+
     def initial(self, block: Block) -> np.ndarray:
         """Initial value of an internal state; zeros by default."""
         return np.zeros(block.shape)

@@ -15,7 +15,7 @@ from cellsys.reduction.equivariant.worth import (
     measure,
     representation_error,
 )
-from cellsys.reduction.local_sensor import StiffnessMap, fit_local_sensor
+from cellsys.reduction.local_sensor import StiffnessMap, fit_local_sensor, stress_moments
 from cellsys.reduction.provenance import constant_commands, data_hash
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import Snapshots
@@ -42,6 +42,14 @@ def card_of(
         "port passivity index": f"{index:.2g} ({_passive(model, index)})",
         "clock": f"{model.dynamics.clock.vertices} vertices, {model.dynamics.clock.tau:g} s",
     }
+    sensor = model.sensor
+    if sensor is not None:
+        facts["sensor"] = {
+            "inputs": getattr(sensor, "inputs", "latent state"),
+            "held out, deg": sensor.held_out_error,
+            "constant direction, deg": sensor.constant_error,
+        }
+        facts["sensor, inputs tried (deg, run left out)"] = dict(getattr(sensor, "tried", {}))
     text = verdict(model.order, growth, training, held)
     return Card(
         order=model.order,
@@ -96,4 +104,23 @@ def sensor_of(
     if "matrix.stiffness" not in data.geometry:
         return fit_sensor(*samples(data, records), *shown)
     known = StiffnessMap(data.geometry["matrix.rest"][:, :2], data.geometry["matrix.stiffness"])
-    return fit_local_sensor(*samples(data, records), known, *shown)
+    moments = stress_of(data, records, model.dt)
+    return fit_local_sensor(*samples(data, records), known, *shown, moments)
+
+
+def stress_of(
+    data: Snapshots, records: Sequence[CellRecord], step: float
+) -> list[np.ndarray] | None:
+    """Moment of tensile stress (K + 1, 2) about every record's cell, pN um; None where not stored.
+    """
+    if any(run.virial is None for run in data.runs):
+        return None
+    out = []
+    for r in records:
+        run = data.runs[r.run]
+        grid = stride(data, step) * np.arange(r.steps + 1)
+        moved = data.states.view(np.asarray(run.x), "matrix.displacement")[grid]
+        virial = np.asarray(run.virial)[grid]
+        out.append(stress_moments(data.geometry["matrix.rest"], moved, virial, r.centers))
+        run.release()
+    return out

@@ -19,7 +19,7 @@ from cellsys.reduction.local_sensor import sensor_from
 from cellsys.reduction.model_file import EQUIVARIANT, card_from, layout_from, layout_table
 from cellsys.store.archive import load_archive, save_archive
 
-VERSION = 1
+VERSION = 2
 
 
 def write_parts(model: Any, path: str | Path) -> Path:

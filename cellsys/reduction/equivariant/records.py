@@ -38,6 +38,11 @@ class CellRecord:
     label: str
 
     @property
+    def centers(self) -> np.ndarray:
+        """Centroid in the plane (K + 1, 2), um."""
+        return self.nodes.mean(axis=1)[:, :2]
+
+    @property
     def steps(self) -> int:
         """K."""
         return len(self.amplitude)

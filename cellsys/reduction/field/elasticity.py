@@ -131,6 +131,10 @@ class MatrixEnergy:
                 K = K + sp.kron(part.matrix(), sp.diags_array(on))
         return sp.csc_array(K)
 
+    def nodal(self, u: np.ndarray) -> dict[str, np.ndarray]:
+        """``virial`` and ``stiffness`` (n,) of the fibres at displacements u (n, 3)."""
+        return self._fibres.nodal(self._at(u))
+
     def loads(self, run: Trajectory, at: str = "average") -> np.ndarray:
         """Loads on the matrix in a run (T - 1, n, 3), pN, one for each sampling interval.
 

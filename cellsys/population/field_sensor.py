@@ -1,0 +1,86 @@
+"""The sensor on a shared field: the full-order sensing law on the field's own fibres.
+
+    d_k = direction of sum_j w_j s_j (x_j - c_k)/rho_j        [laws.sensing]
+
+s_j is the tangent stiffness (or tensile virial) of the fibres at node j, strained by all cells:
+through it cells turn towards each other, which no sensor of a cell's own state can make them do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import ParameterError
+from cellsys.laws.sensing import sensed_direction
+from cellsys.reduction.local_sensor import INNER, REACH
+
+MEASURES = ("stiffness", "stress")
+
+
+@dataclass(frozen=True)
+class FieldSensor:
+    """Reads the direction that the full-order model would sense in the reduced field.
+
+    Nothing is learned. Parameters are those of the effect ``stiffness_sensing``.
+
+    Parameters
+    ----------
+    measure : {"stiffness", "stress"}
+        Nodal tangent stiffness, or tensile stress in a shell.
+    reach, inner : float
+        Sensing range and inner radius of the shell, um.
+    threshold : float
+        Least |q|/S that turns a cell; below it d is the cell's own polarity.
+    """
+
+    measure: str = "stiffness"
+    reach: float = REACH
+    inner: float = INNER
+    threshold: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if self.measure not in MEASURES:
+            raise ParameterError(
+                f"measure must be one of {', '.join(MEASURES)}, got {self.measure!r}"
+            )
+        for name in ("reach", "inner", "threshold"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise ParameterError(f"FieldSensor.{name} must be finite and >= 0, got {value!r}")
+        if not self.reach > 1.0:
+            raise ParameterError(f"FieldSensor.reach must be > 1 um, got {self.reach!r}")
+
+    @classmethod
+    def of(cls, effect: Any) -> FieldSensor:
+        """The sensor of a scene's effect ``stiffness_sensing``."""
+        return cls(effect.measure, effect.reach, effect.inner, effect.threshold)
+
+    def directions(
+        self, field: Any, q: np.ndarray, places: np.ndarray, p: np.ndarray
+    ) -> np.ndarray:
+        """Unit directions (K, 3) sensed at places (K, 2), um, by cells of polarities p (K, 3).
+
+        Raises
+        ------
+        ParameterError
+            When the field has no fibres to read (a `LinearField` from matrices).
+        """
+        if not hasattr(field, "matrix"):
+            raise ParameterError(
+                f"a FieldSensor reads the fibres of a field, and a {type(field).__name__} has "
+                "none; use a GalerkinField or a full field"
+            )
+        u = field.displacement(q)
+        nodal = field.matrix.nodal(u)
+        stress = self.measure == "stress"
+        measure, inner = nodal["virial" if stress else "stiffness"], self.inner if stress else 0.0
+        nodes = field.nodes + u
+        return np.array(
+            [
+                sensed_direction(nodes, measure, c, p_k, inner, self.reach, self.threshold)
+                for c, p_k in zip(places, p, strict=True)
+            ]
+        )
