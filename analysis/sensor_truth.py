@@ -76,7 +76,10 @@ def samples(data: cs.Snapshots, model: cs.EquivariantModel) -> tuple[list, list]
         q / np.maximum(np.hypot(q[:, :1], q[:, 1:]), 1e-300)
         for q in stress_of(data, records, model.dt)
     ]
-    return stress, [np.asarray(data.runs[r.run].d)[: r.steps * every + 1 : every, 0] for r in records]
+    sensed = [np.asarray(data.runs[r.run].d) for r in records]
+    return stress, [
+        d[: r.steps * every + 1 : every, 0] for d, r in zip(sensed, records, strict=True)
+    ]
 
 
 def inputs(name: str, model: cs.EquivariantModel, data: cs.Snapshots, test: cs.Snapshots) -> None:
@@ -90,7 +93,7 @@ def inputs(name: str, model: cs.EquivariantModel, data: cs.Snapshots, test: cs.S
         f"{sensor.constant_error:.2f} ({sensor.held_out_error / sensor.constant_error:.2f} of it)"
     )
     known = cs.fit_sensor(*samples(data, model), *samples(test, model))
-    print(f"  if the stress of the full-order run itself were known: {known.held_out_error:.2f} deg")
+    print(f"  if the stress of the full-order run were known: {known.held_out_error:.2f} deg")
 
 
 def one_loop(model: cs.EquivariantModel, scene: cs.Scene, run: cs.Trajectory) -> np.ndarray:

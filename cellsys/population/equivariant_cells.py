@@ -241,6 +241,27 @@ class EquivariantCells(Drawable):
         """Membrane node positions (T, K, n, 3) um in a run."""
         return self.model.nodes(run.block("z"))
 
+    def in_nodes(self, run: Trajectory) -> Trajectory:
+        """The run as the full-order model would store it, for the read-outs of `observe`.
+
+        States ``cellK.position`` (n, 3) and ``matrix.displacement`` (N, 3), um; p and d as they
+        are. Forces, laws and internal states are not carried.
+        """
+        nodes, u = self.nodes(run), self.matrix_displacement(run)
+        T, K, n = nodes.shape[:3]
+        blocks = [Block(f"cell{k + 1}.position", (n, 3), "um") for k in range(K)]
+        blocks.append(Block("matrix.displacement", u.shape[1:], "um", "field"))
+        return Trajectory(
+            run.t,
+            np.column_stack([nodes.reshape(T, -1), u.reshape(T, -1)]),
+            Layout(blocks),
+            p=run.p,
+            d=run.d,
+            statistics=run.statistics,
+            label=run.label,
+            geometry={"matrix.rest": self.coupling.field.nodes},
+        )
+
     def __str__(self) -> str:
         return (
             f"{self.n_cells} equivariant cells on a field of order {self.coupling.field.order}, "

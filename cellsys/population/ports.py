@@ -9,7 +9,7 @@ the same coordinates, so that f.y is the power the matrix gains.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -206,9 +206,15 @@ class CellPort:
     def _index(self) -> tuple[float, float]:
         grid = self.frequencies()
         least, gain = np.empty(len(grid)), np.empty(len(grid))
+        # H acts within the span of F and C^T, of at most 2 m directions however many loads.
+        Q, R, _ = sla.qr(np.hstack([self.F, self.C.T]), mode="economic", pivoting=True)
+        size = np.abs(np.diag(R))
+        Q = Q[:, size > 1e-14 * size.max()]
+        small = replace(self, F=Q.T @ self.F, C=self.C @ Q)
+        beyond = 0.0 if Q.shape[1] < self.n_loads else np.inf
         for i, omega in enumerate(grid):
-            H = self.response(float(omega))
-            least[i] = sla.eigvalsh(0.5 * (H + H.conj().T))[0]
+            H = small.response(float(omega))
+            least[i] = min(sla.eigvalsh(0.5 * (H + H.conj().T))[0], beyond)
             gain[i] = sla.norm(H, 2)
         i = int(np.argmin(least))
         return float(least[i] / gain.max()) if gain.max() > 0 else 0.0, float(grid[i])

@@ -291,3 +291,18 @@ def test_refusals():
     cells = couple(cell(), coupling=LoadPorts(softer, x, theta, PORT))
     assert not cells.certificate.holds
     assert cells.stability().verdict == "unstable"
+
+
+def test_index_of_many_loads_is_that_of_the_whole_response():
+    """Looked at in the span of F and C alone; against all 60 loads at every frequency."""
+    rng = np.random.default_rng(3)
+    few = cell(seed=1)
+    mix = np.linalg.qr(rng.standard_normal((60, few.n_loads)))[0]
+    for C in (few.C @ mix.T, few.C @ mix.T + 0.1 * rng.standard_normal((few.order, 60))):
+        port = dataclasses.replace(few, F=mix @ few.F, C=C)
+        least, gain = [], []
+        for omega in port.frequencies():
+            H = port.response(float(omega))
+            least.append(np.linalg.eigvalsh(0.5 * (H + H.conj().T))[0])
+            gain.append(np.linalg.norm(H, 2))
+        assert abs(port.passivity().index - min(least) / max(gain)) < 1e-13
