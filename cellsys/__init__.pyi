@@ -147,6 +147,7 @@ from .reduction import (
     reduce_orders,
     select_model,
     snapshots,
+    with_matrix,
 )
 from .response import (
     Realization,

@@ -12,6 +12,7 @@ from cellsys.reduction.contractive import Contractive
 from cellsys.reduction.equivariant.forecast import ErrorBands, Forecast, ValidityMonitor
 from cellsys.reduction.equivariant.model import EquivariantModel
 from cellsys.reduction.equivariant.on_field import CellsOnField
+from cellsys.reduction.equivariant.on_matrix import with_matrix
 from cellsys.reduction.equivariant.port import PolarPort
 from cellsys.reduction.equivariant.reductor import Equivariant
 from cellsys.reduction.equivariant.schedule import Clock
@@ -91,4 +92,5 @@ __all__ = [
     "reduce_orders",
     "select_model",
     "snapshots",
+    "with_matrix",
 ]

@@ -9,13 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from cellsys.errors import CellsysError, FileFormatError
+from cellsys.errors import CellsysError, FileFormatError, RankError, SceneError
 from cellsys.loop import PolarityLaw, closed_loop
-from cellsys.reduction import Equivariant, EquivariantModel, LatentModel, Snapshots, snapshots
+from cellsys.reduction import (
+    Equivariant,
+    EquivariantModel,
+    GalerkinField,
+    LatentModel,
+    Snapshots,
+    snapshots,
+    with_matrix,
+)
 from cellsys.reduction.equivariant.records import read_records
 from cellsys.reduction.provenance import data_hash
 from cellsys.response import margins
-from cellsys.scene import Scene
+from cellsys.scene import Scene, build
 from cellsys.store.hashing import fingerprint
 from cellsys.study.measure import OrderRow
 from cellsys.trajectory import Trajectory
@@ -77,7 +85,7 @@ def study_equivariant(
 ) -> EquivariantStudy:
     """Learn the model (or read it from `kept`) and run its loop; without one, say why."""
     try:
-        model = _learned(data, test, kept)
+        model = _learned(scene, data, test, kept)
     except CellsysError as error:
         return EquivariantStudy(None, None, {}, {"why_not": str(error)}, str(error))
     run, gap, loop_table = _loop(scene, model, main)
@@ -94,7 +102,7 @@ def study_equivariant(
     return EquivariantStudy(model, run, gap, table)
 
 
-def _learned(data: Snapshots, test: Snapshots, kept: Path) -> EquivariantModel:
+def _learned(scene: Scene, data: Snapshots, test: Snapshots, kept: Path) -> EquivariantModel:
     """The model of these runs; kept in a file, whose key is the data, the method and us."""
     method, order = Equivariant(), min(ORDER, max(5, data.n_samples // 10))
     key = fingerprint([data_hash(data), data_hash(test), repr(method), order], __version__)
@@ -106,6 +114,11 @@ def _learned(data: Snapshots, test: Snapshots, kept: Path) -> EquivariantModel:
         if model is not None and model.notes.get("key") == key:
             return model
     model = method.learn(data, order, test)
+    try:
+        model = with_matrix(model, GalerkinField(build(scene)), test, data)
+    except (SceneError, RankError) as error:
+        warned = (*model.card.warnings, f"matrix not measured: {error}")
+        model = model.carrying(card=replace(model.card, warnings=warned))
     model = model.carrying(notes={**model.notes, "key": key})
     model.save(kept)
     return model
