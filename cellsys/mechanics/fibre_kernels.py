@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellsys.laws.fibre import axial
+from cellsys.laws.fibre import axial, axial_energy
 from cellsys.mechanics.compiled import compiled
 
 _axial = compiled(vector=True, inline=True)(axial)
+_axial_energy = compiled(vector=True, inline=True)(axial_energy)
 _PIECE = 256  # fibres at a time: their differences stay in the first cache
 
 
@@ -60,3 +61,22 @@ def fibre_slopes(rest, u, fibres, length, stiffness, rho, blend, onset, growth, 
         for c in range(len(ends)):
             g, slopes[c] = _axial((np.sqrt(squared[c]) - l0[c]) / l0[c], rho, blend, onset, growth)
             pull[c] = k[c] * l0[c] * g
+
+
+@compiled(vector=True)
+def fibre_energy(rest, u, fibres, length, stiffness, rho, blend, onset, growth):
+    """Sum of k l0^2 G(strain) over all fibres, pN um."""
+    now = rest + u
+    total = 0.0
+    squared = np.empty(_PIECE)
+    for begin in range(0, fibres.shape[0], _PIECE):
+        ends = fibres[begin : begin + _PIECE]
+        l0, k = length[begin : begin + _PIECE], stiffness[begin : begin + _PIECE]
+        for c in range(len(ends)):
+            i, j = np.uintp(ends[c, 0]), np.uintp(ends[c, 1])
+            d0, d1, d2 = now[j, 0] - now[i, 0], now[j, 1] - now[i, 1], now[j, 2] - now[i, 2]
+            squared[c] = d0 * d0 + d1 * d1 + d2 * d2 + 1e-12
+        for c in range(len(ends)):
+            e = np.sqrt(squared[c]) / l0[c] - 1.0
+            total += k[c] * l0[c] * l0[c] * _axial_energy(e, rho, blend, onset, growth)
+    return total

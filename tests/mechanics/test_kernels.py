@@ -7,13 +7,13 @@ import scipy.sparse.linalg as spla
 from scipy.spatial.transform import Rotation
 
 from cellsys.errors import DataError
-from cellsys.laws.fibre import axial
+from cellsys.laws.fibre import axial, axial_energy
 from cellsys.mechanics import clutch_kernels as clutch_loops
 from cellsys.mechanics.cholesky import SparseCholesky
 from cellsys.mechanics.effects.clutch import SurfaceBins, rim_factor
 from cellsys.mechanics.effects.membrane import area_forces, line_forces
 from cellsys.mechanics.effects.switching import bind_nearest, cluster_loads
-from cellsys.mechanics.fibre_kernels import fibre_forces, fibre_slopes
+from cellsys.mechanics.fibre_kernels import fibre_energy, fibre_forces, fibre_slopes
 from cellsys.mechanics.geometry.membrane import enclosed_volume, sphere, volume_gradient
 from tests.mechanics.scenes import clutch, switching
 
@@ -118,6 +118,9 @@ def test_fibre_loops(name):
     assert np.allclose(force, expected, rtol=1e-12, atol=1e-8)
     assert np.allclose(slope, s, **CLOSE)
     assert np.allclose(pull, tension, rtol=1e-12, atol=1e-8)
+    strain = length / disc.length - 1.0
+    stored = (disc.stiffness * disc.length**2) @ axial_energy(strain, *law)
+    assert fibre_energy(*arguments) == pytest.approx(stored, rel=1e-12)
 
 
 @pytest.fixture(params=[0, 1])

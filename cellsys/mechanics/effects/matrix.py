@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from cellsys.laws.fibre import NEVER, FibreLaw, axial_energy
+from cellsys.laws.fibre import NEVER, FibreLaw
 from cellsys.laws.sensing import nodal_sum, tensile_virial
 from cellsys.mechanics.effects.protocol import (
     Configuration,
@@ -20,7 +20,7 @@ from cellsys.mechanics.effects.protocol import (
     Stiffness,
     parameter,
 )
-from cellsys.mechanics.fibre_kernels import fibre_forces, fibre_slopes
+from cellsys.mechanics.fibre_kernels import fibre_energy, fibre_forces, fibre_slopes
 from cellsys.mechanics.geometry.disc import Disc, StiffnessAssembly
 from cellsys.mechanics.tangent import diagonal
 
@@ -108,10 +108,9 @@ class FibreElement(Element):
 
     def energy(self, s: Configuration) -> float:
         d = self.disc
-        now = d.position + s.nodes[MATRIX]
-        offset = now[d.fibres[:, 1]] - now[d.fibres[:, 0]]
-        strain = np.sqrt((offset**2).sum(axis=1) + 1e-12) / d.length - 1.0
-        return float((d.stiffness * d.length**2) @ axial_energy(strain, *self.law))
+        return float(
+            fibre_energy(d.position, s.nodes[MATRIX], d.fibres, d.length, d.stiffness, *self.law)
+        )
 
     def forget(self) -> None:
         self._along = self._across = None

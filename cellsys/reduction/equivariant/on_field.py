@@ -141,6 +141,13 @@ class CellsOnField:
         free = dynamics.advance(state.cells, features, w)
         under = self.footprints(state)
 
+        def pulls(x: list[np.ndarray]) -> list[np.ndarray]:
+            """Load coordinates of every charge at the midpoint."""
+            return [
+                0.5 * (a + b) @ block.C.T
+                for a, b, block in zip(state.cells.x, x, dynamics.blocks, strict=True)
+            ]
+
         def answer(load: np.ndarray | None) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
             """Field, cells and load that follow from a load (None: the field's last velocity)."""
             q = None
@@ -148,16 +155,17 @@ class CellsOnField:
             if load is not None:
                 q, _ = self.field.step(state.q, load, dt, memory=memory, t=t)
                 rate = (q - state.q) / dt
-            x = free if self.cascade else self._ported(free, self._gather(under, rate), w)
-            f = [
-                0.5 * (a + b) @ block.C.T
-                for a, b, block in zip(state.cells.x, x, dynamics.blocks, strict=True)
-            ]
-            return q, x, self._project(under, f)
+            x = self._ported(free, self._gather(under, rate), w)
+            return q, x, self._project(under, pulls(x))
 
-        load, exchanges = answer(None)[2], 1
-        q, x, back = answer(load)
-        if not self.cascade:
+        if self.cascade:
+            # The loads do not depend on what they do to the field: one pass is exact.
+            load = self._project(under, pulls(free))
+            q, _ = self.field.step(state.q, load, dt, memory=memory, t=t)
+            x, exchanges = free, 1
+        else:
+            load, exchanges = answer(None)[2], 1
+            q, x, back = answer(load)
             mixing = Mixing()
             while np.linalg.norm(back - load) > self.tolerance * np.linalg.norm(back):
                 if exchanges == self.cap:
