@@ -7,14 +7,17 @@ in each part.
 
 from __future__ import annotations
 
+import time as clock
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from cellsys.errors import DataError, ParameterError
+from cellsys.loop.loop_system import model_error
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.reduction.equivariant.dynamics import CellState
+from cellsys.reduction.equivariant.forecast import watched
 from cellsys.reduction.equivariant.model import EquivariantModel
 from cellsys.reduction.local_sensor import LocalSensor
 from cellsys.reduction.sensor import StiffnessSensor
@@ -58,6 +61,11 @@ class ScheduledLoop:
             The model brings its own step; another one is refused.
         amplitude : float or (K,)
             Lamellipodium amplitude of every step.
+
+        Returns
+        -------
+        Trajectory
+            Its events say when commands, shape or latent state leave the trained range.
         """
         if integrator is not None:
             raise ParameterError(
@@ -76,9 +84,11 @@ class ScheduledLoop:
             raise DataError("amplitude holds NaN or inf")
         z, p = np.empty((K + 1, self.order)), np.empty((K + 1, 3))
         z[0], p[0] = self.z0, self.p0
+        began = clock.perf_counter()
         for k in range(K):
             z[k + 1], p[k + 1] = self._step(z[k], p[k], k * dt, float(drive[k]))
         d = self.sensor.direction(z)
+        heading = np.arctan2(p[:-1, 1], p[:-1, 0])
         states = Layout(
             [Block("z", (self.order,)), Block("p", (3,), "1", "controller", "internal")]
         )
@@ -88,7 +98,10 @@ class ScheduledLoop:
             states,
             p=p[steps][:, None],
             d=d[steps][:, None],
+            events=watched(self.model, dt * np.arange(K + 1), z, drive, heading, "the cell"),
+            statistics={"steps": K, "wall_time": clock.perf_counter() - began},
             label="closed loop, equivariant",
+            model_error=model_error(self.model),
         )
 
     def _step(

@@ -17,12 +17,14 @@ from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.integrate.simulate import check_times
 from cellsys.loop import PolarityLaw
+from cellsys.loop.loop_system import model_error
 from cellsys.population.field_sensor import FieldSensor
 from cellsys.population.headings import turn
 from cellsys.population.load_ports import PortedCells
 from cellsys.population.polar import frozen_port, polar_gather
 from cellsys.population.poleset import PoleSet
 from cellsys.population.verdict import CoupledStability
+from cellsys.reduction.equivariant.forecast import watched
 from cellsys.reduction.equivariant.on_field import CellsOnField
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
@@ -153,7 +155,8 @@ class EquivariantCells(Drawable):
         Returns
         -------
         Trajectory
-            States ``z`` (K, m), ``field.modes`` (order,) and ``p`` (K, 3).
+            States ``z`` (K, m), ``field.modes`` (order,) and ``p`` (K, 3). Its events say when a
+            cell leaves the trained range.
         """
         times = check_times(t)
         dt, K = self.model.dt, self.n_cells
@@ -176,6 +179,8 @@ class EquivariantCells(Drawable):
         whole = CellsOnField(self.model, self.coupling.field, tolerance=tolerance)
         state = whole.start(self.coupling.positions[:, :2], z0)
         memory, rows, most = self.coupling.field.memory(), [], 0
+        watch, angles = getattr(self.model, "monitor", None) is not None, np.empty((steps, K))
+        every = [self.model.dynamics.join(state.cells)]
         began = clock.perf_counter()
 
         def record() -> None:
@@ -188,8 +193,11 @@ class EquivariantCells(Drawable):
             if law is not None:
                 p = turn(loop, p, self._sensed(state, p), 0.5 * dt)
             angle = np.arctan2(p[:, 1], p[:, 0]) if heading is None else heading[k]
+            angles[k] = angle
             state, used = whole.step(state, amplitude[k], angle, times[0] + k * dt, memory)
             most = max(most, used)
+            if watch:
+                every.append(self.model.dynamics.join(state.cells))
             if law is not None:
                 p = turn(loop, p, self._sensed(state, p), 0.5 * dt)
             elif heading is not None:
@@ -200,6 +208,14 @@ class EquivariantCells(Drawable):
             None if rows[0][i] is None else np.array([r[i] for r in rows]) for i in range(4)
         )
         T = len(times)
+        events = []
+        if watch:
+            when, path = times[0] + dt * np.arange(steps + 1), np.array(every)
+            for c in range(K):
+                who = f"cell{c + 1}"
+                events += watched(
+                    self.model, when, path[:, c], amplitude[:, c], angles[:, c], who
+                )
         blocks = [
             Block("z", (K, self.order)),
             Block("field.modes", (q.shape[1],), "um", "field"),
@@ -211,6 +227,8 @@ class EquivariantCells(Drawable):
             Layout(blocks),
             p=p_all,
             d=d_all,
+            events=tuple(sorted(events)),
+            model_error=model_error(self.model),
             statistics={"steps": steps, "exchanges": most,
                         "wall_time": clock.perf_counter() - began},
             label=f"{K} equivariant cells on one field",

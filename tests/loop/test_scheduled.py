@@ -68,3 +68,18 @@ def test_times_off_the_grid_are_refused(t):
 def test_an_integrator_is_refused_with_the_way_out():
     with pytest.raises(cs.ParameterError, match=r"model\.at"):
         loop().simulate(10.0 * np.arange(3), cs.CVODES(rtol=1e-8, atol=1e-8))
+
+
+def test_leaving_the_trained_range_is_an_event_of_the_run():
+    """The runs lasted 150 s at amplitudes the monitor knows; the naive roll-out says nothing."""
+    m = model()
+    assert m.monitor is not None
+    inside = loop().simulate(10.0 * np.arange(15), amplitude=float(np.mean(m.monitor.amplitude)))
+    assert not [e for e in inside.events if "amplitude" in e.detail or "time" in e.detail]
+    late = loop().simulate(10.0 * np.arange(31), amplitude=2 * m.monitor.amplitude[1])
+    told = {e.name: e for e in late.events}
+    assert set(told) == {"outside the trained range"}
+    assert any("amplitude (high)" in e.detail and e.time == 0.0 for e in late.events)
+    assert any("time since contact" in e.detail and e.time > 150.0 for e in late.events)
+    assert late.model_error["cells, held out"] == m.card.held_out["cells"]["model"]
+    assert "model's error" in str(late)

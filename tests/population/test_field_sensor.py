@@ -9,6 +9,8 @@ import cellsys as cs
 from cellsys.errors import ParameterError
 from cellsys.population import FieldSensor, LoadPorts, couple
 from tests.population.test_equivariant_cells import PAIR, model
+from tests.reduction.equivariant.runs import model as trained
+from tests.reduction.equivariant.runs import scene
 from tests.study.scenes import TINY
 
 
@@ -76,6 +78,18 @@ def test_cells_far_apart_sense_alone_and_near_ones_do_not(field):
     for sensor, least, most in ((FieldSensor(), 1e-3, 4.0), (m.sensor, 0.0, 1e-12)):
         gap = np.abs(sensed(near, sensor) - sensed(near[:1], sensor)).max()
         assert least <= gap <= most
+
+
+def test_cells_outside_the_trained_range_are_named():
+    m = trained()
+    field = cs.GalerkinField(cs.build(scene()), order=40, places=20)
+    cells = couple(m, coupling=LoadPorts(field, [[-4.0, 0.0], [5.0, 1.0]]), sensor=FieldSensor())
+    usual, much = float(np.mean(m.monitor.amplitude)), 3 * m.monitor.amplitude[1]
+    run = cells.simulate(10.0 * np.arange(4), amplitude=np.array([usual, much]))
+    wrong = [e.detail for e in run.events if "amplitude" in e.detail]
+    assert wrong
+    assert all(text.startswith("cell2") for text in wrong)
+    assert run.model_error
 
 
 def test_refusals(field):

@@ -12,6 +12,7 @@ from cellsys.drawable import Drawable
 from cellsys.errors import DataError, ParameterError
 from cellsys.reduction.equivariant.dynamics import CellDynamics
 from cellsys.reduction.equivariant.records import CellRecord
+from cellsys.system import Event
 
 LEVELS = (0.68, 0.95)
 WINDOW = 3  # steps to either side whose residuals are pooled
@@ -199,6 +200,16 @@ class ValidityMonitor:
                 for k in begins
             ]
         return sorted(found, key=lambda f: f.time)
+
+
+def watched(
+    model: Any, t: np.ndarray, z: np.ndarray, amplitude: np.ndarray, heading: np.ndarray, who: str
+) -> tuple[Event, ...]:
+    """Flags of the model's monitor as events of a run; none for a model without one."""
+    if getattr(model, "monitor", None) is None:
+        return ()
+    flags = model.monitor.check(model, t, z, amplitude, heading)
+    return tuple(Event(f.time, "outside the trained range", f"{who}: {f}") for f in flags)
 
 
 def _turns(heading: np.ndarray) -> np.ndarray:
