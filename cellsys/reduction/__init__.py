@@ -32,6 +32,7 @@ from cellsys.reduction.selection import (
 )
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import RunData, Snapshots, snapshots
+from cellsys.reduction.validity import Flag, TrainedRange
 
 _FIELD = ("FullField", "GalerkinField", "full_field")
 
@@ -60,6 +61,7 @@ __all__ = [
     "EquivariantModel",
     "ErrorBands",
     "ExactSVD",
+    "Flag",
     "Forecast",
     "FullField",
     "GalerkinField",
@@ -76,6 +78,7 @@ __all__ = [
     "Selection",
     "Snapshots",
     "StiffnessSensor",
+    "TrainedRange",
     "ValidityMonitor",
     "assess",
     "compare_reductors",

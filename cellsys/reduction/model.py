@@ -22,6 +22,7 @@ from cellsys.reduction.card import Card
 from cellsys.reduction.model_file import ARRAYS, is_equivariant, load_model, save_model
 from cellsys.reduction.sensor import StiffnessSensor
 from cellsys.reduction.steps import check_roll_out, hold, roll, to_continuous
+from cellsys.reduction.validity import Flag, TrainedRange
 from cellsys.system import Layout
 
 
@@ -281,6 +282,14 @@ class LatentModel(Drawable):
         z0, t, c, repeats = check_roll_out(self.order, self.B.shape[1], self.dt, z0, u, t)
         matrices = (lambda dt: self.step_matrices()) if self.dt is not None else self.step_matrices
         return roll(z0, c, t, repeats, matrices, self.growth)
+
+    def flags(self, t: np.ndarray, z: np.ndarray, u: np.ndarray | None = None) -> list[Flag]:
+        """Where a roll-out of `predict` leaves what the model was trained on, in order of time.
+
+        Inputs, latent states and time of the run, each against its trained range and a tenth of
+        it; `DataError` for a model that was not made by `reduce`. See `TrainedRange`.
+        """
+        return TrainedRange.kept(self).check(t, z, u, self.input_names)
 
     # Control
 

@@ -1,4 +1,4 @@
-"""Mechanics: nodes at one place, slivers, inverted triangles, stiff fibres, lifted cells."""
+"""Mechanics: nodes at one place, slivers, inverted triangles, stiff fibres, pressure."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,8 @@ from cellsys.integrate import ExplicitEuler, LinearlyImplicit, simulate
 from cellsys.scene import Scene, build
 from tests import naive
 from tests.hard.stress import SEED, Case, Choice, Power, Real, hold
+from tests.hard.test_6_networks import CASES as NETWORKS
+from tests.hard.test_6_networks import balanced, converges, energies, falls, forces
 from tests.integrate.toys import Springs
 from tests.mechanics.small_scenes import tiny, tiny_system
 
@@ -77,6 +79,10 @@ def steps_from_anywhere_stay_finite(kind, amount, seed, step):
     assert np.all(np.isfinite(run.x))
     nodes = run.x[-1][place]
     assert np.abs(nodes).max() < 100.0  # the disc has a radius of 12 um
+    if kind == "noise" and amount > 0.05:
+        return  # all of the surface is folded: which way a fold opens is decided by rounding
+    # first order; a fold opens through kinks (triangle, contact, bond), a step later
+    converges(system, x, step, 4.0, place, 0.02)
 
 
 def a_cell_anywhere_on_its_disc(angle, radius, height, kinetics, seed):
@@ -115,6 +121,10 @@ def stiff_fibres_converge(factor, law):
         for h in (0.5, 0.25, 0.125)
     ]  # fmt: skip
     assert np.all(np.isfinite(ends))
+    x = system.x0.copy()
+    x[matrix] = ends[0]
+    places = system.matrix.position + ends[0].reshape(-1, 3)
+    balanced(forces(system, x, "matrix.matrix_elasticity"), places)
     far, near = np.abs(ends[0] - ends[1]).max(), np.abs(ends[1] - ends[2]).max()
     # first order where bonds are smooth; a bond that forms one step later moves less than 20 nm
     assert near < 0.8 * far + 0.02
@@ -151,6 +161,10 @@ def pressure_holds_at_any_step(step, modulus, amount):
     rest = np.linalg.norm(nodes - middle, axis=1).mean()
     assert 0.2 * rest < size[-1] < 3.0 * rest
     assert np.abs(run.x[-1][place].reshape(-1, 3).mean(axis=0) - middle).max() < 1e-6
+    E, _ = energies(system, x, step, 20)
+    falls(E)
+    # a stiff one is blown back in pieces that largest_move sets, alike in all: 0.2 % of the way
+    converges(system, x, step, 8 * step, place, 2e-3 * abs(amount - 1) * rest)
 
 
 def test_a_lagged_tangent_has_a_false_two_cycle():
@@ -162,6 +176,13 @@ def test_a_lagged_tangent_has_a_false_two_cycle():
         Springs(stiffness=50.0), LinearlyImplicit(step=0.5), np.arange(0, 20, 0.5),
         auxiliaries=False,
     )  # fmt: skip
+    ends = [
+        simulate(
+            Springs(stiffness=50.0), LinearlyImplicit(step=h), [0.0, 20.0], auxiliaries=False
+        ).x[-1]
+        for h in (0.5, 0.25, 0.125)
+    ]
+    assert np.abs(ends[1] - ends[2]).max() < 0.6 * np.abs(ends[0] - ends[1]).max()
     v = np.diff(run.x[:, 3])
     assert np.mean(np.sign(np.diff(v))[1:] != np.sign(np.diff(v))[:-1]) < 0.3
 
@@ -202,9 +223,10 @@ CASES = (
         pressure_holds_at_any_step,
         {"step": Power(-2, 1), "modulus": Power(1, 5), "amount": Real(0.6, 1.6)},
     ),
+    *NETWORKS,
 )
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
+@pytest.mark.parametrize("case", [c for c in CASES if c not in NETWORKS], ids=lambda c: c.name)
 def test_random_instances(case):
     hold(case, 3)
