@@ -15,21 +15,28 @@ from tests.naive_files import (  # noqa: F401
     load_everything,
     locked_by_a_file,
     mapped_rows,
+    raw_rows,
     unpacked_size,
     write_in_place,
 )
 from tests.naive_mechanics import (  # noqa: F401
+    accumulated,
     fibre_tangent,
     film_without_tension,
     fixed_step_crawler,
     fixed_step_crossing,
     fixed_step_end,
+    integrated_with_one_tolerance,
     lagged_tangent_velocities,
     last_local_error,
     normalised_weights,
     one_sided_rupture,
+    own_seed_each,
+    restarted,
+    sampled_crossings,
     sign_steps,
     spring_force,
+    tolerance_taken,
 )
 
 

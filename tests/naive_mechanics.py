@@ -1,7 +1,9 @@
 """Naive versions of forces, steps and switches; see `tests.naive`."""
 
+import warnings
+
 import numpy as np
-from scipy.integrate import Radau, solve_ivp
+from scipy.integrate import RK45, Radau, solve_ivp
 
 
 def fixed_step_crawler(system, t_end, step):
@@ -130,3 +132,38 @@ def normalised_weights(x, rest, reach):
     q = np.maximum(1.0 - d2 / reach**2, 0.0) ** 3
     with np.errstate(all="ignore"):
         return q / q.sum(axis=1, keepdims=True)
+
+
+def sampled_crossings(guard, times):
+    """Sign changes of a guard seen at some times only: a dip between two of them is not."""
+    values = np.array([guard(t) for t in times])
+    return int(np.sum((values[:-1] > 0) & (values[1:] <= 0)))
+
+
+def accumulated(start, step, count):
+    """A time as start + step + step + ...: far from zero it stands still."""
+    for _ in range(count):
+        start = start + step
+    return start
+
+
+def tolerance_taken(rtol):
+    """The relative tolerance that scipy works with when it is asked for one; it only warns."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return float(np.max(RK45(lambda t, x: -x, 0.0, [1.0], 1.0, rtol=rtol).rtol))
+
+
+def integrated_with_one_tolerance(A, u, t, atol=1e-6):
+    """x(t) of x' = A x + u from 0 at scipy's usual tolerances: blind to small numbers."""
+    return solve_ivp(lambda _, x: A @ x + u, (0.0, t), np.zeros(len(A)), atol=atol).y[:, -1]
+
+
+def own_seed_each(count):
+    """Seeds of runs that are to be compared, drawn anew for each of them."""
+    return range(3, 3 + count)
+
+
+def restarted(simulate, system, method, t, x, seed):
+    """Second half of a run as a new run from its last state: the stepper's memory is lost."""
+    return simulate(system, method, t, x, seed=seed, auxiliaries=False)

@@ -109,8 +109,7 @@ def complete(
     start = np.mean([encode_start(model, run) for run in data.runs], axis=0)
     sensor = sensor_of(model, data, test, encoded) if sensor is None else sensor
     horizon = data.dt * max(len(run.x) - 1 for run in data.runs)
-    names = model.input_names
-    commands = [data.commands_of(run, names) if names else None for run in data.runs]
+    commands = [data.commands_of(run, model.input_names) for run in data.runs]
     latents = [z[:, : model.order] for z in encoded[0].runs]
     notes = {
         **model.notes,

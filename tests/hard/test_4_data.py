@@ -113,6 +113,18 @@ def a_rank_is_found_and_not_exceeded(seed, damage, columns, method):
     assert np.abs(back - widened(runs[0])[3]).max() < 1e-8
 
 
+def test_columns_that_add_nothing():
+    a_rank_is_found_and_not_exceeded(0, "duplicate", 3, LeastSquares())
+    rng = np.random.default_rng(0)
+    A = stable_matrix(4, rng)
+    runs = [x for x, _ in linear_runs(A, np.zeros((4, 0)), np.zeros(4), 0.1, rng)]
+    wide = [np.column_stack([x, np.repeat(x[:, :1], 3, axis=1)]) for x in runs]
+    # naive: seven poles of four, three of them logarithms of rounding
+    found = naive.normal_equation_poles(wide, 0.1)
+    assert len(found) == 7
+    assert not match(found, np.concatenate([np.linalg.eigvals(A), np.zeros(3)])) < 10.0
+
+
 @pytest.mark.parametrize("T", [1, 2, 3])
 def test_too_few_samples_are_refused_with_their_number(T):
     x = np.random.default_rng(0).standard_normal((T, 6))

@@ -6,6 +6,7 @@ from functools import cache
 import mpmath as mp
 import numpy as np
 import pytest
+import scipy.linalg as sla
 
 from cellsys.errors import CellsysError, IntegrationError
 from cellsys.integrate import CVODES, simulate
@@ -240,6 +241,25 @@ def inputs_of_any_size_are_carried(size, m, seed):
     one = model.predict(np.zeros(m), np.array([1.0, -1.0]), t)
     many = model.predict(np.zeros(m), size * np.array([1.0, -1.0]), t)
     assert np.abs(many - size * one).max() <= 1e-12 * size * np.abs(one).max() * (1 + m)
+
+
+def test_a_million_seconds():
+    a_million_seconds_are_exact(0, 1e-3, 4)
+    rng = np.random.default_rng(0)
+    A = stable_matrix(4, rng, slowest=1e-3, fastest=0.1)
+    z0 = rng.standard_normal(4)
+    # naive: steps of 1 s instead of the exponential
+    off = naive.rolled(A, z0, 1.0, 10) - exact_roll(A, np.zeros(4), z0, 10.0)
+    assert np.abs(off).max() > 1e-3
+
+
+def test_inputs_of_any_size():
+    inputs_of_any_size_are_carried(1e-100, 3, 0)
+    A = stable_matrix(3, np.random.default_rng(0))
+    want = np.linalg.solve(A, sla.expm(5.0 * A) - np.eye(3)) @ np.ones(3)
+    # naive: one absolute tolerance for numbers of any size
+    got = naive.integrated_with_one_tolerance(A, 1e-9 * np.ones(3), 5.0) / 1e-9
+    assert np.abs(got - want).max() > 1e-3 * np.abs(want).max()
 
 
 def test_growth_unseen():
