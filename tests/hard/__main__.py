@@ -12,7 +12,6 @@ import sys
 
 from tests.hard import stress
 
-
 FUZZ = {
     "scene": ("scene file changed",),
     "run": ("run folder damaged", "run file changed"),

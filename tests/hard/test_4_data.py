@@ -146,6 +146,28 @@ def test_what_is_missing_is_refused_by_name(name, value):
         reduce(dataclasses.replace(data, runs=(data.runs[0], run)), order=3)
 
 
+def test_what_is_missing_spreads():
+    X = np.random.default_rng(0).standard_normal((20, 4))
+    X[7, 2] = np.nan
+    # naive: the covariance of columns, one NaN in which is four
+    with np.errstate(all="ignore"), pytest.raises(np.linalg.LinAlgError):
+        naive.normal_equation_poles([X], 0.1)
+
+
+def test_squares_of_an_outlier():
+    with pytest.raises(DataError, match="more than 1e100"):
+        outliers_give_finite_models(0, 1e200, PCR())
+    X = np.random.default_rng(0).standard_normal((20, 4))
+    X[7, 2] *= 1e200
+    with np.errstate(all="ignore"):
+        basis = None
+        try:
+            basis = naive.covariance_basis(X, 2)
+        except np.linalg.LinAlgError:
+            pass
+    assert basis is None or not np.isfinite(basis).all()
+
+
 def outliers_give_finite_models(seed, size, method):
     """One wild sample: a finite model, or a refusal; never NaN, never an overflow."""
     data = one_step_data(seed=seed % 50)
