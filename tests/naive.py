@@ -229,3 +229,8 @@ def inverse_distance_weights(positions):
     d = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     with np.errstate(all="ignore"):
         return np.where(np.eye(len(d), dtype=bool), 0.0, 1.0 / d)
+
+
+def scale_by_squares(X):
+    """Scale of every column as the root of its mean square."""
+    return np.sqrt((X * X).mean(axis=0))
