@@ -24,6 +24,7 @@ from cellsys.reduction.sensor import StiffnessSensor
 from cellsys.reduction.steps import check_roll_out, hold, roll, to_continuous
 from cellsys.reduction.validity import Flag, TrainedRange
 from cellsys.system import Layout
+from cellsys.units import real_array, real_number
 
 
 def _row_indices(name: str, rows: Sequence[int]) -> np.ndarray:
@@ -101,21 +102,19 @@ class LatentModel(Drawable):
 
         given = vars(self)  # a kind of model that has no basis refuses to be asked for V
         for name in ARRAYS:
-            if np.iscomplexobj(given.get(name)):
-                raise DataError(f"{name} is complex; a latent model is made of real numbers")
-        A = np.atleast_2d(np.array(self.A, dtype=float))
+            if given.get(name) is not None or name == "A":
+                put(name, real_array(given.get(name), name).copy())
+        A = np.atleast_2d(self.A)
         m = A.shape[0]
         if A.shape != (m, m) or m == 0:
             raise DimensionError(f"A must be square and not empty, got {A.shape}")
         put("A", A)
-        B = np.zeros((m, 0)) if self.B is None else np.array(self.B, dtype=float)
+        B = np.zeros((m, 0)) if self.B is None else self.B
         put("B", B.reshape(m, -1) if B.ndim < 2 and B.size % m == 0 else B)
-        put("offset", np.zeros(m) if self.offset is None else np.array(self.offset, dtype=float))
-        for name in ("V", "mean", "scale", "singular_values", "z_start"):
-            value = given.get(name)
-            if value is not None:
-                put(name, np.array(value, dtype=float))
+        put("offset", np.zeros(m) if self.offset is None else self.offset)
         V = given.get("V")
+        if V is not None and V.ndim != 2:
+            raise DimensionError(f"V must be a matrix, got shape {V.shape}")
         if V is not None:
             rows = len(V)
             put("mean", np.zeros(rows) if self.mean is None else self.mean)
@@ -143,11 +142,17 @@ class LatentModel(Drawable):
                 raise DimensionError(f"{name} must have shape {expected}, got {got}")
         for name in ARRAYS:
             value = given.get(name)
-            if value is not None and not np.all(np.isfinite(value)):
+            if value is None:
+                continue
+            if not np.all(np.isfinite(value)):
                 raise DataError(f"{name} holds NaN or inf; a model cannot be made from it")
-            if value is not None:
-                value.setflags(write=False)
-        if self.dt is not None and not (np.isfinite(self.dt) and self.dt > 0):
+            if np.abs(value).max(initial=0.0) > 1e150:
+                raise DataError(
+                    f"{name} holds {np.abs(value).max():.3g}, beyond 1e150: its squares are no "
+                    "doubles; take another unit of time or of the states"
+                )
+            value.setflags(write=False)
+        if self.dt is not None and not real_number(self.dt, "dt") > 0:
             raise ParameterError(
                 f"dt must be > 0 s (or None for a continuous model), got {self.dt!r}"
             )
