@@ -153,7 +153,10 @@ def quantity(value: str | float, unit: str, *, name: str = "value") -> float:
             number /= float(match[2])
         text = (match[3] or "").strip()
     else:
-        number, text = float(value), ""
+        try:
+            number, text = float(value), ""
+        except OverflowError as error:
+            raise UnitError(f"{name} has {len(str(value))} digits, beyond 1e308") from error
     if not math.isfinite(number):
         raise UnitError(f"{name} must be finite, got {value!r}")
     if not text:

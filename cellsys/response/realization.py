@@ -46,12 +46,6 @@ def _finite(array: np.ndarray, name: str) -> None:
     if not np.all(np.isfinite(array)):
         bad = np.argwhere(~np.isfinite(np.atleast_1d(array)))[0]
         raise DataError(f"{name}{bad.tolist()} is not finite; mend the model first")
-    largest = float(np.abs(array).max(initial=0.0))
-    if largest > LARGEST:
-        raise DataError(
-            f"{name} holds {largest:.3g}, beyond {LARGEST:g}: its squares are no doubles; take "
-            "another unit of time or of the states"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +100,15 @@ class Realization:
         n = self.A.shape[0]
         if self.A.shape != (n, n):
             raise DimensionError(f"A must be square, got {self.A.shape}")
+        # Roots of a_ij a_ji, which no choice of the states' units changes.
+        root = abs(self.A) ** 0.5
+        rate = root * root.T if isinstance(root, np.ndarray) else root.multiply(root.T)
+        largest = float(rate.max()) if n else 0.0
+        if largest > LARGEST:
+            raise DataError(
+                f"A holds rates of {largest:.3g}, beyond {LARGEST:g}: their squares are no "
+                "doubles; take another unit of time"
+            )
         D = None if self.D is None else _dense(self.D, "D")
         m = D.shape[1] if self.B is None and D is not None else 0
         p = D.shape[0] if self.C is None and D is not None else 0
@@ -118,6 +121,9 @@ class Realization:
             )
         for name, array in (("B", B), ("C", C), ("D", D)):
             _finite(array, name)
+            largest = float(np.abs(array).max(initial=0.0))
+            if largest > LARGEST:
+                raise DataError(f"{name} holds {largest:.3g}, beyond {LARGEST:g}; take other units")
             array.setflags(write=False)
             put(self, name, array)
         if not sp.issparse(self.A):

@@ -19,6 +19,20 @@ FUZZ = {
 }
 
 
+def warm() -> None:
+    """Compile the laws first: that takes longer than an instance may."""
+    from cellsys.integrate import LinearlyImplicit, simulate
+    from tests.mechanics.small_scenes import tiny_system
+
+    shell = ("membrane_elasticity", "volume", "cortical_tension", "lamellipodium")
+    for kinetics in ("clutch", "switching"):
+        system = tiny_system(
+            *shell, "focal_adhesion", "substrate_contact", "matrix_elasticity", "foundation",
+            "polarity", focal_adhesion={"kinetics": kinetics},
+        )  # fmt: skip
+        simulate(system, LinearlyImplicit(step=0.5), [0.0, 1.0], seed=1)
+
+
 def main() -> int:
     """Exit code."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -43,6 +57,7 @@ def main() -> int:
     }
     if not chosen:
         parser.error("no case of that name in that family")
+    warm()
     counts = stress.run(chosen, 60.0 * given.minutes, given.seed)
     total = stress.Count()
     print(f"{'':40s}{'tried':>8s}{'held':>8s}{'refused':>8s}{'failed':>8s}{'s':>8s}")

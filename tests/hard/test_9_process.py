@@ -42,6 +42,7 @@ from tests.hard.stress import SEED, Case, Choice, Int, Real, hold
 from tests.hard.test_9_files import CASES as FILES
 from tests.hard.test_9_runs import CASES as RUNS
 from tests.hard.test_9_runs import SHAPES
+from tests.mechanics.small_scenes import tiny
 from tests.study.scenes import TINY
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -122,6 +123,16 @@ def test_a_chain_of_a_billion_nodes_is_refused():
     table["matrix"]["nodes"] = 10**9
     with bounded(0.05), pytest.raises(BudgetError, match="GB"):
         build(Scene.parse(table))
+
+
+def test_a_hundred_thousand_cells_are_refused():
+    table = tiny("membrane_elasticity", cells=1, matrix=False)
+    table["cells"] = [{"position": [f"{30 * k} um", "0 um"]} for k in range(10**5)]
+    scene = Scene.parse(table)
+    began = time.monotonic()
+    with bounded(0.05), pytest.raises(BudgetError, match=r"100000 cells of .* GB"):
+        build(scene)
+    assert time.monotonic() - began < 5.0
 
 
 # Runs
