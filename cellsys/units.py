@@ -1,4 +1,4 @@
-"""Units: um, pN, s inside; strings with units at the boundary only.
+"""Units: um, pN, s inside; strings with units at the boundary only; arrays of plain numbers.
 
 In these units 1 Pa = 1 pN/um^2 and 1 N s/m = 1e6 pN s/um. Angles are radians inside.
 `quantity("5 kPa", "pN/um^2")` gives 5000.0; a number without a unit, an unknown unit and a unit
@@ -11,8 +11,11 @@ import difflib
 import math
 import re
 from fractions import Fraction
+from typing import Any
 
-from cellsys.errors import UnitError
+import numpy as np
+
+from cellsys.errors import DataError, ParameterError, UnitError
 
 # Exponents of length, force, time, angle, temperature.
 Dimension = tuple[Fraction, Fraction, Fraction, Fraction, Fraction]
@@ -84,6 +87,41 @@ def parse_unit(text: str) -> tuple[float, Dimension]:
     return factor, tuple(exponents)  # type: ignore[return-value]
 
 
+def real_array(value: Any, name: str) -> np.ndarray:
+    """`value` as an array of floats; NaN and inf are left to the caller.
+
+    Raises
+    ------
+    DataError
+        Complex numbers, texts, objects, or rows of different lengths.
+    """
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind == "c":
+            raise DataError(f"{name} is complex; it must be made of real numbers")
+        if array.dtype.kind in "SUMm":
+            raise DataError(f"{name} holds {array.dtype.name}; it must be made of real numbers")
+        return np.asarray(array, dtype=float)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, DataError):
+            raise
+        raise DataError(f"{name} must be an array of real numbers: {error}") from error
+
+
+def real_number(value: Any, name: str) -> float:
+    """`value` as a finite float.
+
+    Raises
+    ------
+    ParameterError
+    """
+    if isinstance(value, (int, float, np.number, np.ndarray)) and np.ndim(value) == 0:
+        array = np.asarray(value)
+        if array.dtype.kind in "iufb" and math.isfinite(array):
+            return float(array)
+    raise ParameterError(f"{name} must be a finite real number, got {value!r}")
+
+
 def quantity(value: str | float, unit: str, *, name: str = "value") -> float:
     """Convert a quantity to a float in `unit`'s internal form.
 
@@ -115,7 +153,10 @@ def quantity(value: str | float, unit: str, *, name: str = "value") -> float:
             number /= float(match[2])
         text = (match[3] or "").strip()
     else:
-        number, text = float(value), ""
+        try:
+            number, text = float(value), ""
+        except OverflowError as error:
+            raise UnitError(f"{name} has {len(str(value))} digits, beyond 1e308") from error
     if not math.isfinite(number):
         raise UnitError(f"{name} must be finite, got {value!r}")
     if not text:

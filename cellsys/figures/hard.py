@@ -31,11 +31,14 @@ def hard_sweep(
         known = np.isfinite(y)
         line = ax.plot(x[known], np.maximum(y[known], 1e-17), style, ms=4, label=name)[0]
         lost = x[~known]
-        ax.plot(
-            lost, np.full(len(lost), 0.97), "x", color=line.get_color(),
-            transform=ax.get_xaxis_transform(),
-        )  # fmt: skip
+        if len(lost):
+            ax.plot(
+                lost, np.full(len(lost), 0.97), "x", color=line.get_color(),
+                transform=ax.get_xaxis_transform(), label=f"{name}: no number",
+            )  # fmt: skip
     ax.set(xscale="log", yscale="log", xlabel=label, ylabel="error")
+    if ax.get_xlim()[1] < 100 * ax.get_xlim()[0]:
+        ax.tick_params(axis="x", which="minor", labelsize="x-small")
     ax.set_title(title, fontsize="medium")
     ax.legend(fontsize="small")
     return ax

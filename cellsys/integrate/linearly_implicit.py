@@ -180,7 +180,13 @@ class _ImplicitStepper(Stepper):
             return done
         self.statistics["rejected"] += 1
         if dt < 2.0**-10 * self.step:
-            self.fail(t, dt, "LinearlyImplicit: a node moves too far even in a tiny step")
+            self.fail(
+                t,
+                dt,
+                "LinearlyImplicit: a node moves more than largest_move = "
+                f"{self.method.largest_move:g} um even in a step halved ten times; use a smaller "
+                "step, or start nearer to rest",
+            )
         # Two halves, so that the logged average still belongs to the whole step.
         eta_1, u_1 = self.take_step(t, 0.5 * dt)
         eta_2, u_2 = self.take_step(t + 0.5 * dt, 0.5 * dt)

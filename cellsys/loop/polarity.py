@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.laws.arrays import is_symbolic
 from cellsys.laws.polarity import exact_step, rate
+from cellsys.units import real_array, real_number
 
 
 @dataclass(frozen=True)
@@ -59,14 +61,30 @@ class PolarityLaw:
     antiparallel: Stay | Perturb = Stay()
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.kappa) and self.kappa >= 0):
+        if real_number(self.kappa, "PolarityLaw.kappa") < 0:
             raise ParameterError(
                 f"PolarityLaw.kappa must be finite and >= 0 1/s, got {self.kappa!r}"
             )
 
     def rate(self, p: Any, d: Any) -> Any:
-        """dp/dt (3,), numpy or CasADi; p and d (3,)."""
-        return rate(p, d, self.kappa)
+        """dp/dt (3,), numpy or CasADi; p and d (3,), `DimensionError` or `DataError` otherwise."""
+        if is_symbolic(p, d):
+            return rate(p, d, self.kappa)
+        p, d = self._vectors(p, d)
+        with np.errstate(over="ignore", invalid="ignore"):
+            out = rate(p, d, self.kappa)
+        if not np.all(np.isfinite(out)):
+            raise DataError(f"dp/dt overflows for p = {p}, d = {d}; scale d to unit length")
+        return out
+
+    @staticmethod
+    def _vectors(p: Any, d: Any) -> tuple[np.ndarray, np.ndarray]:
+        p, d = real_array(p, "p"), real_array(d, "d")
+        if p.shape != (3,) or d.shape != (3,):
+            raise DimensionError(f"p and d must have shape (3,), got {p.shape} and {d.shape}")
+        if not (np.all(np.isfinite(p)) and np.all(np.isfinite(d))):
+            raise DataError(f"p or d is not finite: {p}, {d}")
+        return p, d
 
     def step(self, p: np.ndarray, d: np.ndarray, dt: float) -> np.ndarray:
         """Exact solution after dt seconds for constant d: tan(theta/2) decays exponentially.
@@ -76,11 +94,8 @@ class PolarityLaw:
         DimensionError, DataError
             When p or d is not (3,) or not finite.
         """
-        p, d = np.asarray(p, dtype=float), np.asarray(d, dtype=float)
-        if p.shape != (3,) or d.shape != (3,):
-            raise DimensionError(f"p and d must have shape (3,), got {p.shape} and {d.shape}")
-        if not (np.all(np.isfinite(p)) and np.all(np.isfinite(d)) and np.isfinite(dt)):
-            raise DataError("p, d or dt is not finite")
+        p, d = self._vectors(p, d)
+        dt = real_number(dt, "dt")
         return exact_step(self._off_antipode(p, d), d, self.kappa, dt)
 
     def _off_antipode(self, p: np.ndarray, d: np.ndarray) -> np.ndarray:

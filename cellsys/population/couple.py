@@ -13,6 +13,8 @@ from cellsys.population.graph import InteractionGraph, check_positions
 from cellsys.population.headings import loop_of
 from cellsys.population.maps import basis_of, field_rows
 
+MOST_CELLS = 10**15  # counts of poles stay whole numbers in 64 bits
+
 
 def couple(
     model: Any,
@@ -66,6 +68,8 @@ def couple(
     if n_cells is not None:
         if isinstance(n_cells, bool) or not isinstance(n_cells, (int, np.integer)) or n_cells < 1:
             raise ParameterError(f"n_cells must be a whole number >= 1, got {n_cells!r}")
+        if n_cells > MOST_CELLS:
+            raise ParameterError(f"n_cells must be at most {MOST_CELLS:.0e}, got {n_cells:.3e}")
         sizes["n_cells"] = int(n_cells)
     if hasattr(coupling, "assemble_cells"):
         if set(sizes) - {"n_cells"}:

@@ -33,6 +33,7 @@ from cellsys.reduction.selection import (
 )
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import RunData, Snapshots, snapshots
+from cellsys.reduction.validity import Flag, TrainedRange
 
 _FIELD = ("FullField", "GalerkinField", "full_field")
 
@@ -61,6 +62,7 @@ __all__ = [
     "EquivariantModel",
     "ErrorBands",
     "ExactSVD",
+    "Flag",
     "Forecast",
     "FullField",
     "GalerkinField",
@@ -77,6 +79,7 @@ __all__ = [
     "Selection",
     "Snapshots",
     "StiffnessSensor",
+    "TrainedRange",
     "ValidityMonitor",
     "assess",
     "compare_reductors",

@@ -22,7 +22,9 @@ from cellsys.reduction.card import Card
 from cellsys.reduction.model_file import ARRAYS, is_equivariant, load_model, save_model
 from cellsys.reduction.sensor import StiffnessSensor
 from cellsys.reduction.steps import check_roll_out, hold, roll, to_continuous
+from cellsys.reduction.validity import Flag, TrainedRange
 from cellsys.system import Layout
+from cellsys.units import real_array, real_number
 
 
 def _row_indices(name: str, rows: Sequence[int]) -> np.ndarray:
@@ -100,21 +102,19 @@ class LatentModel(Drawable):
 
         given = vars(self)  # a kind of model that has no basis refuses to be asked for V
         for name in ARRAYS:
-            if np.iscomplexobj(given.get(name)):
-                raise DataError(f"{name} is complex; a latent model is made of real numbers")
-        A = np.atleast_2d(np.array(self.A, dtype=float))
+            if given.get(name) is not None or name == "A":
+                put(name, real_array(given.get(name), name).copy())
+        A = np.atleast_2d(self.A)
         m = A.shape[0]
         if A.shape != (m, m) or m == 0:
             raise DimensionError(f"A must be square and not empty, got {A.shape}")
         put("A", A)
-        B = np.zeros((m, 0)) if self.B is None else np.array(self.B, dtype=float)
+        B = np.zeros((m, 0)) if self.B is None else self.B
         put("B", B.reshape(m, -1) if B.ndim < 2 and B.size % m == 0 else B)
-        put("offset", np.zeros(m) if self.offset is None else np.array(self.offset, dtype=float))
-        for name in ("V", "mean", "scale", "singular_values", "z_start"):
-            value = given.get(name)
-            if value is not None:
-                put(name, np.array(value, dtype=float))
+        put("offset", np.zeros(m) if self.offset is None else self.offset)
         V = given.get("V")
+        if V is not None and V.ndim != 2:
+            raise DimensionError(f"V must be a matrix, got shape {V.shape}")
         if V is not None:
             rows = len(V)
             put("mean", np.zeros(rows) if self.mean is None else self.mean)
@@ -142,11 +142,17 @@ class LatentModel(Drawable):
                 raise DimensionError(f"{name} must have shape {expected}, got {got}")
         for name in ARRAYS:
             value = given.get(name)
-            if value is not None and not np.all(np.isfinite(value)):
+            if value is None:
+                continue
+            if not np.all(np.isfinite(value)):
                 raise DataError(f"{name} holds NaN or inf; a model cannot be made from it")
-            if value is not None:
-                value.setflags(write=False)
-        if self.dt is not None and not (np.isfinite(self.dt) and self.dt > 0):
+            if np.abs(value).max(initial=0.0) > 1e150:
+                raise DataError(
+                    f"{name} holds {np.abs(value).max():.3g}, beyond 1e150: its squares are no "
+                    "doubles; take another unit of time or of the states"
+                )
+            value.setflags(write=False)
+        if self.dt is not None and not real_number(self.dt, "dt") > 0:
             raise ParameterError(
                 f"dt must be > 0 s (or None for a continuous model), got {self.dt!r}"
             )
@@ -281,6 +287,14 @@ class LatentModel(Drawable):
         z0, t, c, repeats = check_roll_out(self.order, self.B.shape[1], self.dt, z0, u, t)
         matrices = (lambda dt: self.step_matrices()) if self.dt is not None else self.step_matrices
         return roll(z0, c, t, repeats, matrices, self.growth)
+
+    def flags(self, t: np.ndarray, z: np.ndarray, u: np.ndarray | None = None) -> list[Flag]:
+        """Where a roll-out of `predict` leaves what the model was trained on, in order of time.
+
+        Inputs, latent states and time of the run, each against its trained range and a tenth of
+        it; `DataError` for a model that was not made by `reduce`. See `TrainedRange`.
+        """
+        return TrainedRange.kept(self).check(t, z, u, self.input_names)
 
     # Control
 

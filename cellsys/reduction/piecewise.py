@@ -19,6 +19,7 @@ from cellsys.reduction.model import LatentModel
 from cellsys.reduction.regression import LatentParts, input_map, learned_model
 from cellsys.reduction.sensor import StiffnessSensor
 from cellsys.reduction.snapshots import Snapshots
+from cellsys.reduction.steps import check_roll_out
 from cellsys.system import OdeSystem
 
 _SHARP = 25.0  # beta of Rewienski & White: the nearest point weighs most
@@ -215,18 +216,8 @@ class PiecewiseModel(Drawable):
         IntegrationError
             Where the model leaves all bounds; time, norm and step are given.
         """
-        z, t = np.array(z0, dtype=float), np.asarray(t, dtype=float)
+        z, t, c, _ = check_roll_out(self.order, self.B.shape[1], None, z0, u, t)
         steps = np.diff(t)
-        if z.shape != (self.order,) or not (np.all(np.isfinite(z)) and np.all(np.isfinite(t))):
-            raise DataError(f"z0 must be {self.order} finite numbers, and t finite")
-        if np.any(steps <= 0):
-            raise DataError("t must increase")
-        c = np.zeros((len(steps), self.B.shape[1]))
-        if u is not None:
-            given = np.asarray(u, dtype=float)
-            if given.shape not in (c.shape, c.shape[1:]):
-                raise DimensionError(f"u must be {c.shape} or {c.shape[1:]}, got {given.shape}")
-            c[:] = given
         out = np.empty((len(t), self.order))
         out[0] = z
         limit = 1e150 * max(1.0, float(np.abs(z).max(initial=0.0)))

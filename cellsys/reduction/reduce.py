@@ -17,6 +17,7 @@ from cellsys.reduction.pcr import PCR
 from cellsys.reduction.regression import LatentParts
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import Snapshots
+from cellsys.reduction.validity import TrainedRange
 
 
 def reduce(
@@ -103,12 +104,18 @@ def complete(
     encoded: tuple[Encoded, Encoded | None] | None = None,
     sensor: StiffnessSensor | None = None,
 ) -> LatentModel:
-    """The model with its start, sensor (fitted unless given), card, and longest run (s)."""
+    """The model with its start, sensor (fitted unless given), card, trained range, longest run."""
     encoded = encode_all(model, data, test) if encoded is None else encoded
     start = np.mean([encode_start(model, run) for run in data.runs], axis=0)
     sensor = sensor_of(model, data, test, encoded) if sensor is None else sensor
     horizon = data.dt * max(len(run.x) - 1 for run in data.runs)
-    notes = {**model.notes, "horizon_s": horizon}
+    commands = [data.commands_of(run, model.input_names) for run in data.runs]
+    latents = [z[:, : model.order] for z in encoded[0].runs]
+    notes = {
+        **model.notes,
+        "horizon_s": horizon,
+        **TrainedRange.of(commands, [*latents, start[None]], horizon).note(),
+    }
     model = dataclasses.replace(model, z_start=start, sensor=sensor, notes=notes)
     return dataclasses.replace(model, card=assess(model, data, test, encoded))
 

@@ -226,6 +226,8 @@ class Snapshots:
         if run.commands is None:
             return None
         table = np.asarray(run.commands)
+        if not names:
+            return np.zeros((len(table), 0))
         return np.column_stack([named_command(table, self.command_names, n) for n in names])
 
     @property

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.errors import DataError, DimensionError, IntegrationError, ParameterError
+from cellsys.units import real_array
 
 Affine = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -69,10 +70,11 @@ def check_roll_out(
 
     `own_step` is the step of a step model in s, None for a continuous model.
     """
-    z0 = np.asarray(z0, dtype=float)
-    t = np.asarray(t, dtype=float)
+    z0, t = real_array(z0, "z0"), real_array(t, "t")
     if z0.shape != (order,):
         raise DimensionError(f"z0 must have shape ({order},), got {z0.shape}")
+    if t.ndim != 1 or not t.size:
+        raise DimensionError(f"t must be (T,) with at least one time, got shape {t.shape}")
     if not (np.all(np.isfinite(z0)) and np.all(np.isfinite(t))):
         raise DataError("z0 or t holds NaN or inf")
     steps = np.diff(t)
@@ -80,7 +82,7 @@ def check_roll_out(
         raise DataError("t must increase")
     c = np.zeros((len(steps), n_commands))
     if u is not None:
-        given = np.asarray(u, dtype=float)
+        given = real_array(u, "u")
         if given.shape not in ((n_commands,), (len(steps), n_commands)):
             raise DimensionError(
                 f"u must be ({len(steps)}, {n_commands}) or ({n_commands},), got {given.shape}"
@@ -90,7 +92,13 @@ def check_roll_out(
         raise DataError("u holds NaN or inf")
     repeats = np.ones(len(steps), int)
     if own_step is not None:
-        counts = steps / own_step
+        with np.errstate(over="ignore"):
+            counts = steps / own_step
+        if np.any(counts >= 2.0**53):
+            raise ParameterError(
+                f"t spans {counts.max():.3g} steps of {own_step:g} s in one interval, more than "
+                "the 9e15 that can be counted; take nearer times"
+            )
         repeats = np.round(counts).astype(int)
         if np.any(np.abs(counts - repeats) > 1e-6) or np.any(repeats < 1):
             raise ParameterError(

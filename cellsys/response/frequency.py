@@ -10,8 +10,9 @@ import numpy as np
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.response import grid
-from cellsys.response.realization import Realization, realization
+from cellsys.response.realization import LARGEST, Realization, realization
 from cellsys.response.resolvent import Resolvent, s_plane
+from cellsys.units import real_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,11 +85,14 @@ class FrequencyResponse(Drawable):
 
 def check_omega(omega: Any, system: Realization) -> np.ndarray:
     """Frequencies as a finite 1-D array within the Nyquist band, or a clear error."""
-    array = np.atleast_1d(np.asarray(omega, dtype=float))
+    array = np.atleast_1d(real_array(omega, "omega"))
     if array.ndim != 1:
         raise DimensionError(f"omega must be one-dimensional, got shape {array.shape}")
     if not np.all(np.isfinite(array)):
         raise DataError(f"omega[{int(np.flatnonzero(~np.isfinite(array))[0])}] is not finite")
+    largest = float(np.abs(array).max(initial=0.0))
+    if largest > LARGEST:
+        raise DataError(f"omega reaches {largest:.3g} rad/s; it must stay below {LARGEST:g}")
     if system.is_discrete and np.any(np.abs(array) > np.pi / system.dt * (1 + 1e-9)):
         raise ParameterError(
             f"omega reaches {np.abs(array).max():.6g} rad/s, beyond the Nyquist frequency "

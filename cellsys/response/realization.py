@@ -18,8 +18,10 @@ import scipy.sparse as sp
 from scipy.linalg import lapack
 
 from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
+from cellsys.units import real_array, real_number
 
 DENSE_LIMIT = 4000  # states; a dense complex matrix of this size takes 256 MB
+LARGEST = 1e150  # of an entry of A, B, C, D
 EPS = float(np.finfo(float).eps)
 
 
@@ -33,10 +35,8 @@ def _names(given: Sequence[str] | None, count: int, letter: str, what: str) -> t
 
 
 def _dense(value: Any, name: str) -> np.ndarray:
-    array = value.toarray() if sp.issparse(value) else np.asarray(value)
-    if np.iscomplexobj(array):
-        raise DataError(f"{name} is complex; this room takes real matrices")
-    array = np.atleast_2d(np.array(array, dtype=float))
+    array = real_array(value.toarray() if sp.issparse(value) else value, name)
+    array = np.atleast_2d(array.copy())
     if array.ndim != 2:
         raise DimensionError(f"{name} must be a matrix, got shape {array.shape}")
     return array
@@ -94,12 +94,21 @@ class Realization:
             put(self, "A", sp.csc_array(self.A, dtype=float))
             _finite(self.A.data, "A.data")
         else:
-            A = np.asarray(self.A)
+            A = real_array(self.A, "A")
             put(self, "A", np.zeros((0, 0)) if A.size == 0 else _dense(A, "A"))
             _finite(self.A, "A")
         n = self.A.shape[0]
         if self.A.shape != (n, n):
             raise DimensionError(f"A must be square, got {self.A.shape}")
+        # Roots of a_ij a_ji, which no choice of the states' units changes.
+        root = abs(self.A) ** 0.5
+        rate = root * root.T if isinstance(root, np.ndarray) else root.multiply(root.T)
+        largest = float(rate.max()) if n else 0.0
+        if largest > LARGEST:
+            raise DataError(
+                f"A holds rates of {largest:.3g}, beyond {LARGEST:g}: their squares are no "
+                "doubles; take another unit of time"
+            )
         D = None if self.D is None else _dense(self.D, "D")
         m = D.shape[1] if self.B is None and D is not None else 0
         p = D.shape[0] if self.C is None and D is not None else 0
@@ -112,12 +121,15 @@ class Realization:
             )
         for name, array in (("B", B), ("C", C), ("D", D)):
             _finite(array, name)
+            largest = float(np.abs(array).max(initial=0.0))
+            if largest > LARGEST:
+                raise DataError(f"{name} holds {largest:.3g}, beyond {LARGEST:g}; take other units")
             array.setflags(write=False)
             put(self, name, array)
         if not sp.issparse(self.A):
             self.A.setflags(write=False)
-        dt = float(self.dt)
-        if not np.isfinite(dt) or dt < 0:
+        dt = real_number(self.dt, "dt")
+        if dt < 0:
             raise ParameterError(f"dt must be 0 (continuous) or a sampling time > 0 s, got {dt!r}")
         put(self, "dt", dt)
         put(self, "states", _names(self.states, n, "x", "state"))
@@ -195,7 +207,7 @@ class Realization:
 def _sampling(dt: Any) -> float:
     if dt is None:
         return 0.0  # control's "unspecified"; continuous is its own default
-    return 1.0 if dt is True else float(dt)
+    return 1.0 if dt is True else dt
 
 
 def realization(sys: Any) -> Realization:

@@ -11,13 +11,14 @@ from cellsys.integrate.simulate import available_memory
 from cellsys.mechanics.crawler import CrawlerSystem
 from cellsys.mechanics.effects.protocol import CellBody, Effect
 from cellsys.mechanics.geometry.disc import DENSITY, Disc, disc
-from cellsys.mechanics.geometry.membrane import sphere
+from cellsys.mechanics.geometry.membrane import NODES, sphere
 from cellsys.mechanics.spreading import CellSpec, SpreadingSystem, build_spreading
 from cellsys.scene.chain import ChainScene, build_chain
 from cellsys.scene.registry import EFFECTS
 from cellsys.scene.scene import MatrixScene, Scene
 
 START_GAP = 0.05  # um between the lowest point of a cell and the top of the matrix
+_BYTES_PER_MEMBRANE_NODE = 12_000.0  # equations, tangents, one state, measured at 150 cells
 _BYTES_PER_NODE = 30_000.0  # fibres, assembly, factors and one state, measured at 2000 nodes
 
 
@@ -29,10 +30,16 @@ def build(scene: Scene) -> SpreadingSystem | CrawlerSystem:
     Raises
     ------
     BudgetError
-        When the matrix alone would not fit into memory.
+        When the matrix alone, or the cells alone, would not fit into memory.
     """
     if isinstance(scene.matrix, ChainScene):
         return build_chain(scene.matrix, scene.cells)
+    need, free = _BYTES_PER_MEMBRANE_NODE * NODES * len(scene.cells), available_memory()
+    if need > free:
+        raise BudgetError(
+            f"{len(scene.cells)} cells of {NODES} nodes need about {need / 1e9:.1f} GB and "
+            f"{free / 1e9:.1f} GB are free; take fewer, or couple reduced ones (cs.couple)"
+        )
     matrix = _matrix(scene.matrix, scene.seed) if scene.matrix is not None else None
     effects = {n: e for n, e in _ordered(scene.effects) if e.acts_on != "cell"}
     cells = []
@@ -64,10 +71,11 @@ def matrix_nodes(spec: MatrixScene) -> int:
 
 
 def _matrix(spec: MatrixScene, seed: int) -> Disc:
-    need, free = _BYTES_PER_NODE * matrix_nodes(spec), available_memory()
+    nodes = min(matrix_nodes(spec), 10**30)  # more are no doubles
+    need, free = _BYTES_PER_NODE * nodes, available_memory()
     if need > free:
         raise BudgetError(
-            f"a matrix of {matrix_nodes(spec)} nodes needs about {need / 1e9:.1f} GB and "
+            f"a matrix of {nodes} nodes needs about {need / 1e9:.1f} GB and "
             f"{free / 1e9:.1f} GB are free; make the disc smaller or set matrix.nodes"
         )
     built = disc(

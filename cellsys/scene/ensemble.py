@@ -82,14 +82,26 @@ def _numbers(statistics: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _trajectory(reader: RunReader, system: OdeSystem, t: np.ndarray, label: str) -> Trajectory:
-    return trajectory_of(
-        system,
-        t,
-        reader.arrays,
-        tuple(Event(*e) for e in reader.metadata["events"]),
-        reader.metadata["statistics"],
-        label,
-    )
+    if not isinstance(label, str):
+        raise FileFormatError(f"{str(reader.folder)!r} names its scene {label!r}, not by a text")
+    found = {k: (v.shape, v.dtype) for k, v in reader.arrays.items()}
+    wanted = {k: (s, np.dtype(float)) for k, s in record_shapes(system, t, True).items()}
+    if found != wanted:
+        wrong = sorted(k for k in found.keys() | wanted if found.get(k) != wanted.get(k))
+        raise FileFormatError(
+            f"{str(reader.folder)!r} holds other arrays than its scene writes: {', '.join(wrong)}; "
+            "run the scene again"
+        )
+    try:
+        events = tuple(Event(float(e[0]), e[1] + "", e[2] + "") for e in reader.metadata["events"])
+        statistics = dict(reader.metadata["statistics"])
+        if "step" in statistics:
+            float(statistics["step"])
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
+        raise FileFormatError(
+            f"{str(reader.folder)!r} holds damaged events or statistics: {error}"
+        ) from error
+    return trajectory_of(system, t, reader.arrays, events, statistics, label)
 
 
 def read_run(folder: str | Path) -> Trajectory:
@@ -103,9 +115,11 @@ def read_run(folder: str | Path) -> Trajectory:
     reader = RunReader(folder)
     try:
         scene = scene_from_plain(reader.header["scene"])
-    except (KeyError, TypeError, ValueError) as error:
+        return _trajectory(reader, build(scene), scene.times, scene.name)
+    except (FileFormatError, BudgetError):
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise FileFormatError(f"{str(folder)!r} does not hold a run of a scene: {error}") from error
-    return _trajectory(reader, build(scene), scene.times, scene.name)
 
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")

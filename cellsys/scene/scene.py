@@ -208,7 +208,7 @@ class Scene:
                     f"got {getattr(self.matrix, name)!r}"
                 )
         nodes = None if self.matrix is None else self.matrix.nodes
-        if nodes is not None and nodes > 0 and self.matrix.diameter**2 > nodes * _SPARSEST**2:
+        if nodes is not None and nodes > 0 and nodes < (self.matrix.diameter / _SPARSEST) ** 2:
             raise SceneError(
                 f"matrix.nodes = {nodes} leaves {self.matrix.diameter / np.sqrt(nodes):.3g} um "
                 f"between nodes, more than {_SPARSEST:g} um; ask for more or leave it out"

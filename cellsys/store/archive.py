@@ -25,8 +25,7 @@ READ_ERRORS = (
     KeyError,
     SyntaxError,
     MemoryError,
-    NotImplementedError,
-    RecursionError,
+    RuntimeError,  # encrypted entries; packed in an unknown way; nested without end
     tokenize.TokenError,
     struct.error,
     zipfile.BadZipFile,

@@ -233,10 +233,11 @@ class RunReader:
                 raise FileFormatError(
                     f"run {self.folder.name!r} names an array outside its folder: {sorted(shapes)}"
                 )
-            self.arrays = {
-                name: np.load(self.folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
-                for name in shapes
-            }
+            with np.errstate(over="ignore"):  # of a forged shape; then it does not fit its file
+                self.arrays = {
+                    name: np.load(self.folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
+                    for name in shapes
+                }
         except FileFormatError:
             raise
         except (*READ_ERRORS, TypeError, AttributeError) as error:

@@ -1,7 +1,9 @@
 """``python -m tests.hard --minutes N``: random hard instances of every family.
 
 Prints how many were tried, held, were refused with a reason, and failed; exit code 1 when any
-failed, each with its smallest parameters and its seed.
+failed, each with its smallest parameters and its seed. ``--fuzz scene|run|model`` tries nothing
+but changed files of one kind: read, built and learned from, or refused; in time, in memory, and
+nothing written outside their folder.
 """
 
 import argparse
@@ -9,6 +11,26 @@ import os
 import sys
 
 from tests.hard import stress
+
+FUZZ = {
+    "scene": ("scene file changed",),
+    "run": ("run folder damaged", "run file changed"),
+    "model": ("model file cut", "model file changed", "model file forged"),
+}
+
+
+def warm() -> None:
+    """Compile the laws first: that takes longer than an instance may."""
+    from cellsys.integrate import LinearlyImplicit, simulate
+    from tests.mechanics.small_scenes import tiny_system
+
+    shell = ("membrane_elasticity", "volume", "cortical_tension", "lamellipodium")
+    for kinetics in ("clutch", "switching"):
+        system = tiny_system(
+            *shell, "focal_adhesion", "substrate_contact", "matrix_elasticity", "foundation",
+            "polarity", focal_adhesion={"kinetics": kinetics},
+        )  # fmt: skip
+        simulate(system, LinearlyImplicit(step=0.5), [0.0, 1.0], seed=1)
 
 
 def main() -> int:
@@ -21,9 +43,21 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--seed", type=int, default=0, help="of the instances drawn")
     parser.add_argument("--family", choices=sorted(FAMILIES), action="append")
+    names = sorted({case.name for group in FAMILIES.values() for case in group})
+    parser.add_argument("--case", choices=names, action="append", help="of any family")
+    parser.add_argument("--fuzz", choices=FUZZ, help="files of one kind only")
     parser.add_argument("--cases", action="store_true", help="also a line for every case")
     given = parser.parse_args()
-    chosen = {k: v for k, v in FAMILIES.items() if given.family is None or k in given.family}
+    wanted = [*(given.case or ()), *FUZZ.get(given.fuzz, ())] or names
+    chosen = {
+        family: kept
+        for family, group in FAMILIES.items()
+        if given.family is None or family in given.family
+        if (kept := tuple(case for case in group if case.name in wanted))
+    }
+    if not chosen:
+        parser.error("no case of that name in that family")
+    warm()
     counts = stress.run(chosen, 60.0 * given.minutes, given.seed)
     total = stress.Count()
     print(f"{'':40s}{'tried':>8s}{'held':>8s}{'refused':>8s}{'failed':>8s}{'s':>8s}")

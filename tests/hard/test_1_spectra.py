@@ -15,6 +15,7 @@ from cellsys.response import (
     stability,
     step_response,
 )
+from cellsys.system import OdeSystem
 from tests import naive
 from tests.hard.stress import SEED, Case, Choice, Int, Power, Real, hold
 from tests.population.systems import model as cell
@@ -142,6 +143,15 @@ def widely_spread_steps(low, high, seed):
     assert stability(A).verdict in ("stable", "not decided")
 
 
+def test_rates_far_apart():
+    widely_spread_steps(-8.0, 8.0, 0)
+    # naive: explicit steps of one length for all rates, here a thousand over the slowest second
+    system = OdeSystem(
+        states=["fast", "slow"], x0=[0.0, 0.0], forcing=lambda t, x: np.array([1e8, 1.0]) * (1 - x)
+    )
+    assert not np.isfinite(naive.fixed_step_end(system, 1.0, 1e-3)).all()
+
+
 @pytest.mark.parametrize("copies", [2, 10, 60])
 def test_copies_and_defective_poles(copies):
     """K copies of a Jordan block: one cluster, whose bound covers the exact pole."""
@@ -196,6 +206,14 @@ def the_toolbox_agrees_with_itself(family, n, depth, K, seed):
         # the bound of Glover and Enns, and the accuracy both responses state
         room = reduced.error_bound * 1.01 + (1e-8 + 2 * full.accuracy.max()) * size
         assert np.abs(full.response - small).max() <= room
+
+
+def test_ten_copies_of_a_non_normal_cell():
+    the_toolbox_agrees_with_itself("bidiagonal", 9, 1.0, 10, 0)
+    A = matrix("bidiagonal", 9, 1.0)
+    # naive: the matrix of all cells, whose eigenvalues are off by eps^(1/9)
+    found = naive.dense_coupled_poles(cell(m=9, seed=0, A=A), 10)
+    assert np.abs(found[:, None] - np.diag(A)[None]).min(axis=1).max() > 1e-6
 
 
 SMALL = {"family": Choice(*MATRICES), "n": Int(2, 9), "depth": Power(-6, 0)}

@@ -93,6 +93,15 @@ def more_latents_than_cell_rows(m, missing, K, seed):
         assert cells.stability().verdict == "unstable"
 
 
+def test_exact_zeros_of_more_latents_than_rows():
+    more_latents_than_cell_rows(5, 2, 5, 1)
+    gap = np.random.default_rng(1).uniform(0.2, 0.8, 5)
+    gap[:2] = 0.0
+    # naive: one dense matrix of all cells; its zeros are some 1e-17 or 1e-9, and uncounted
+    dense = naive.dense_coupled_poles(model(m=5, seed=1, gap=gap), 5)
+    assert np.sum(dense == 0) < 2 * 4
+
+
 def any_number_of_cells(K, m, form, seed, size):
     """Time and memory do not grow with K; poles of two cells are those of the Kronecker matrix."""
     one = model(m=m, seed=seed)

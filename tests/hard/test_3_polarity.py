@@ -141,6 +141,11 @@ def test_a_direction_that_turns_faster_than_the_polarity_follows(ratio):
     coarse, fine = error(400), error(1600)
     assert fine < coarse / 12
     assert fine < 1e-4
+    if ratio == 1.0:
+        # naive: explicit steps grow by (kappa h)^2/2 each
+        h = t[-1] / 400
+        grown = naive.euler_polarity(Y, [direction(k * h) for k in range(400)], kappa, h)
+        assert np.linalg.norm(grown) > 1.01
 
 
 @pytest.mark.parametrize(
@@ -253,6 +258,13 @@ def a_loop_stays_finite(seed, gain, kappa, normalise, start):
     if start == "random":
         assert np.abs(ours.x - tight.x).max() < 1e-3 * (1 + np.abs(tight.x).max())
     assert np.abs(ours.x).max() < 1e4
+
+
+def test_explicit_steps_of_a_strong_loop():
+    a_loop_stays_finite(3, 10.0, 0.3, False, "random")
+    loop = make(seed=3, kappa=0.3, gain=10.0, normalise=False)
+    # naive: explicit Euler, a step of 10 s
+    assert not np.isfinite(naive.fixed_step_end(loop.system, 6000.0, 10.0)).all()
 
 
 CASES = (

@@ -113,6 +113,18 @@ def a_rank_is_found_and_not_exceeded(seed, damage, columns, method):
     assert np.abs(back - widened(runs[0])[3]).max() < 1e-8
 
 
+def test_columns_that_add_nothing():
+    a_rank_is_found_and_not_exceeded(0, "duplicate", 3, LeastSquares())
+    rng = np.random.default_rng(0)
+    A = stable_matrix(4, rng)
+    runs = [x for x, _ in linear_runs(A, np.zeros((4, 0)), np.zeros(4), 0.1, rng)]
+    wide = [np.column_stack([x, np.repeat(x[:, :1], 3, axis=1)]) for x in runs]
+    # naive: seven poles of four, three of them logarithms of rounding
+    found = naive.normal_equation_poles(wide, 0.1)
+    assert len(found) == 7
+    assert not match(found, np.concatenate([np.linalg.eigvals(A), np.zeros(3)])) < 10.0
+
+
 @pytest.mark.parametrize("T", [1, 2, 3])
 def test_too_few_samples_are_refused_with_their_number(T):
     x = np.random.default_rng(0).standard_normal((T, 6))
@@ -132,6 +144,24 @@ def test_what_is_missing_is_refused_by_name(name, value):
     run = dataclasses.replace(data.runs[1], **{name: bad})
     with pytest.raises(DataError, match="NaN or inf"):
         reduce(dataclasses.replace(data, runs=(data.runs[0], run)), order=3)
+
+
+def test_what_is_missing_spreads():
+    X = np.random.default_rng(0).standard_normal((20, 4))
+    X[7, 2] = np.nan
+    # naive: the covariance of columns, one NaN in which is four
+    with np.errstate(all="ignore"), pytest.raises(np.linalg.LinAlgError):
+        naive.normal_equation_poles([X], 0.1)
+
+
+def test_squares_of_an_outlier():
+    with pytest.raises(DataError, match="more than 1e100"):
+        outliers_give_finite_models(0, 1e200, PCR())
+    X = np.random.default_rng(0).standard_normal((20, 4))
+    X[7, 2] *= 1e200
+    # naive: a scale by the root of the mean square, which is beyond doubles where the data are not
+    with np.errstate(over="ignore"):
+        assert not np.isfinite(naive.scale_by_squares(X)).all()
 
 
 def outliers_give_finite_models(seed, size, method):

@@ -1,15 +1,32 @@
 """Roll-outs: every order and reductor, a million seconds, growth, inputs never seen."""
 
 import time
+from functools import cache
 
 import mpmath as mp
 import numpy as np
 import pytest
+import scipy.linalg as sla
 
 from cellsys.errors import CellsysError, IntegrationError
-from cellsys.reduction import PCR, Contractive, LatentModel, LeastSquares, Ridge, reduce
+from cellsys.integrate import CVODES, simulate
+from cellsys.reduction import (
+    PCR,
+    TPWL,
+    Contractive,
+    Equivariant,
+    Jacobian,
+    LatentModel,
+    LeastSquares,
+    Ridge,
+    TrainedRange,
+    reduce,
+    snapshots,
+)
+from cellsys.system import OdeSystem
 from tests import naive
 from tests.hard.stress import SEED, Case, Choice, Int, Power, Real, hold
+from tests.reduction.equivariant.runs import data as small_cell
 from tests.reduction.systems import one_step_data, spreading_data, stable_matrix
 
 HORIZONS = np.array([0.0, 1.0, 2.0, 10.0, 1e3, 1e6])
@@ -55,6 +72,118 @@ def every_order_is_bounded_or_refused(seed, order, method, data):
         # at rest by then: exp(-100)
         A, _, b = model.step_matrices()
         assert np.abs(A @ z[-1] + b - z[-1]).max() < 1e-6 * (1 + np.abs(z[-1]).max())
+
+
+@cache
+def slow_chain():
+    """Eight overdamped masses on cubic springs, rates of 1e-5 to 4e-3 1/s, and three runs."""
+    n = 8
+    W = 1e-3 * (np.eye(n, k=1) - np.eye(n))
+
+    def springs(t, x):
+        d = [x[0], *(x[k] - x[k - 1] for k in range(1, n))]
+        return [v + 0.5 * v * v * v for v in d]
+
+    names = [f"x{k}" for k in range(n)]
+    system = OdeSystem(
+        states=names, auxiliaries=[f"f{k}" for k in range(n)], x0=np.linspace(0.3, 2.0, n),
+        W_eta=W, law=springs,
+    )  # fmt: skip
+    starts = [system.x0, *np.random.default_rng(0).uniform(-1, 1, (2, n))]
+    t = np.linspace(0.0, 4000.0, 81)
+    runs = [simulate(system, CVODES(rtol=1e-9, atol=1e-11), t, x) for x in starts]
+    return system, snapshots(runs)
+
+
+def every_order_of_the_equations(order, method, points):
+    """`Jacobian` and `TPWL` over 1e6 s: bounded and at rest, or refused with rate and time."""
+    system, data = slow_chain()
+    reductor = Jacobian(system) if method == "Jacobian" else TPWL(system, points=points)
+    model = reduce(data, order=order, method=reductor)
+    assert model.order == order
+    z, said = (), None
+    try:
+        z = model.predict(model.z_start, None, np.array([0.0, 50.0, 4000.0, 5e5, 1e6]))
+    except IntegrationError as refusal:
+        said = refusal
+    if not len(z):
+        assert model.growth() > 0
+        assert f"{model.growth():.3g}" in str(said)
+        assert 0 < said.time <= 1e6
+        return
+    assert np.all(np.isfinite(z))
+    if model.growth() < -1e-5:
+        # another 5e5 s move nothing: exp(-5)
+        assert np.abs(z[-1] - z[-2]).max() < 0.01 * (1 + np.abs(z[0]).max())
+    if order == 8 and method == "TPWL" and points >= 5:
+        # a model of every state follows the run itself, but for the blend of tangents
+        run = np.asarray(data.runs[0].x)
+        z = model.predict(model.encode(run[0]), None, np.array([0.0, 4000.0]))
+        assert np.abs(model.reconstruct(z[1]) - run[-1]).max() < 0.2
+
+
+def test_equations_in_explicit_steps():
+    every_order_of_the_equations(8, "TPWL", 5)
+    system, _ = slow_chain()
+    # naive: explicit steps of 2000 s, on rates up to 4e-3 1/s
+    assert not np.isfinite(naive.fixed_step_end(system, 1e6, 2000.0)).all()
+
+
+@cache
+def equivariant(order):
+    return reduce(small_cell()[0], order=order, method=Equivariant(iterations=3))
+
+
+def every_equivariant_order_is_bounded(order, amplitude, heading):
+    """1e6 s under a constant command, whatever its size: bounded, and flagged where it is new."""
+    model = equivariant(order)
+    K = round(1e6 / model.dt)
+    z = model.simulate_commands(
+        model.z_start, np.full(K, amplitude), np.full(K, heading), 0.0
+    )
+    assert np.all(np.isfinite(z))
+    shape = np.abs(z[:, :-2]).max(axis=1)  # the centroid may go on
+    assert shape[K // 2 :].max() <= 1.01 * shape[: K // 2].max() + 1e-9
+    said = model.forecast(np.full(5, amplitude), np.full(5, heading)).flags
+    low, high = model.monitor.amplitude
+    new = not low - 1e-9 <= amplitude <= high + 0.1 * (high - low) + 1e-9
+    if new or low <= amplitude <= high:
+        assert any("amplitude" in f.what for f in said) == new
+
+
+def what_was_never_seen_is_flagged(seed, method, factor, when):
+    """An input `factor` ranges above what was trained, from sample `when` on: named then."""
+    data = one_step_data(seed=seed % 20, commands=True)
+    model = reduce(data, order=6, method=method)
+    run = data.runs[0]
+    c = np.array(data.commands_of(run, model.input_names))
+    t = data.dt * np.arange(len(run.x))
+    z = np.tile(model.z_start, (len(t), 1))
+    assert model.flags(t, z, c) == []  # what was trained on is not
+    which = seed % c.shape[1]
+    every = np.concatenate([data.commands_of(r, model.input_names) for r in data.runs])[:, which]
+    c[when:, which] = every.max() + factor * np.ptp(every)
+    said = model.flags(t, z, c)
+    assert [(f.what, f.time) for f in said] == [(f"input {model.input_names[which]}", t[when])]
+    assert said[0].value == c[when, which]
+    assert said[0].bound == every.max()
+    later = model.flags(t + 0.0, z + 1e3 * (t > t[when])[:, None], None)
+    assert {f.what for f in later} >= {f"latent state z[{i}]" for i in range(model.order)}
+    longer = np.append(t, t[-1] + data.dt)
+    assert model.flags(longer, np.tile(model.z_start, (len(longer), 1)))[-1].what.startswith("time")
+
+
+def test_a_prediction_beyond_what_was_trained_says_nothing_by_itself(tmp_path):
+    what_was_never_seen_is_flagged(0, PCR(), 3.0, 5)
+    model = reduce(one_step_data(commands=True), order=6, method=PCR())
+    again = LatentModel.load(model.save(tmp_path / "m.npz"))
+    for name in ("inputs", "latent", "time"):
+        kept = (getattr(TrainedRange.kept(m), name) for m in (model, again))
+        assert np.array_equal(*kept)
+    # naive: numbers for an input a hundred ranges away, and no word
+    assert np.isfinite(naive.rolled(model.A, 100 * model.z_start, model.dt, 20)).all()
+    with pytest.raises(CellsysError, match="no trained range"):
+        LatentModel(-np.eye(2)).flags([0.0], [[0.0, 0.0]])
 
 
 def a_million_seconds_are_exact(seed, rate, m):
@@ -123,6 +252,25 @@ def inputs_of_any_size_are_carried(size, m, seed):
     assert np.abs(many - size * one).max() <= 1e-12 * size * np.abs(one).max() * (1 + m)
 
 
+def test_a_million_seconds():
+    a_million_seconds_are_exact(0, 1e-3, 4)
+    rng = np.random.default_rng(0)
+    A = stable_matrix(4, rng, slowest=1e-3, fastest=0.1)
+    z0 = rng.standard_normal(4)
+    # naive: steps of 1 s instead of the exponential
+    off = naive.rolled(A, z0, 1.0, 10) - exact_roll(A, np.zeros(4), z0, 10.0)
+    assert np.abs(off).max() > 1e-3
+
+
+def test_inputs_of_any_size():
+    inputs_of_any_size_are_carried(1e-100, 3, 0)
+    A = stable_matrix(3, np.random.default_rng(0))
+    want = np.linalg.solve(A, sla.expm(5.0 * A) - np.eye(3)) @ np.ones(3)
+    # naive: one absolute tolerance for numbers of any size
+    got = naive.integrated_with_one_tolerance(A, 1e-9 * np.ones(3), 5.0) / 1e-9
+    assert np.abs(got - want).max() > 1e-3 * np.abs(want).max()
+
+
 def test_growth_unseen():
     """A rate of 0.5 1/s for 1e4 s: refused; steps without a look end in inf."""
     growth_is_refused_before_it_overflows(0.5, 1.0, step=True)
@@ -152,6 +300,31 @@ CASES = (
         },
     ),
     Case(
+        "every order of the equations",
+        every_order_of_the_equations,
+        {
+            "order": Int(1, 8),
+            "method": Choice("Jacobian", "TPWL"),
+            "points": Choice(1, 5, 20),
+        },
+    ),
+    Case(
+        "every equivariant order",
+        every_equivariant_order_is_bounded,
+        {"order": Int(5, 40), "amplitude": Power(-3, 3), "heading": Real(-7, 7)},
+        seconds=120.0,  # the first one makes the training runs
+    ),
+    Case(
+        "inputs never seen",
+        what_was_never_seen_is_flagged,
+        {
+            "seed": SEED,
+            "method": Choice(PCR(), LeastSquares(), Ridge(ridge=1e-3), Contractive(iterations=3)),
+            "factor": Power(-0.8, 6),
+            "when": Int(0, 35),
+        },
+    ),
+    Case(
         "a million seconds",
         a_million_seconds_are_exact,
         {"rate": Power(-6, 0), "m": Int(2, 5), "seed": SEED},
@@ -169,6 +342,13 @@ CASES = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(c, marks=pytest.mark.slow if "equivariant" in c.name else ())
+        for c in CASES
+    ],
+    ids=lambda c: c.name,
+)
 def test_random_instances(case):
     hold(case, 4)

@@ -54,6 +54,8 @@ def test_at_the_start_and_at_the_end(method):
     assert len(run.events) <= 1
     later = clock([5.0], method, end=5.0 + 1e-9)
     assert len(later.events) == 1
+    # naive: a clock read every 0.7 s finds the event after the end
+    assert naive.fixed_step_crossing(5.0, 0.7) > 5.0 + 1e-9
     at_zero = clock([0.0], method)
     assert len(at_zero.events) <= 1
     assert at_zero.x[-1, 0] == pytest.approx(10.0, abs=1e-7)
@@ -77,6 +79,13 @@ def a_grazing_guard_is_seen_or_not_by_its_depth(depth, method):
         assert abs(run.events[0].time - want) < 1e-7 / np.sqrt(2 * depth) + 1e-9 / depth
     elif depth <= 0:
         assert not run.events
+
+
+def test_a_dip_between_two_samples():
+    a_grazing_guard_is_seen_or_not_by_its_depth(0.002, DOP853)
+    # naive: the guard's sign every 0.5 s
+    times = np.arange(0.0, 5.0, 0.5)
+    assert naive.sampled_crossings(lambda t: 1 - 0.002 + np.cos(t), times) == 0
 
 
 def a_bouncing_ball_ends_in_a_word(restitution, method):
@@ -145,7 +154,7 @@ def crawlers_keep_their_switches(grab, rupture, seed):
 SHIFTS = (0.005, 0.1)
 
 
-def sensitivity(kinetics, shift, duration=20.0):
+def sensitivity(kinetics, shift, duration=20.0, seeds=(3, 3)):
     """rms distance (um) of the cell's nodes after a shift of the start along x, centroid apart."""
     effects = (
         "membrane_elasticity", "volume", "cortical_tension", "focal_adhesion", "lamellipodium",
@@ -154,13 +163,13 @@ def sensitivity(kinetics, shift, duration=20.0):
     from cellsys.integrate import LinearlyImplicit
 
     ends = []
-    for moved in (0.0, shift):
+    for moved, seed in zip((0.0, shift), seeds, strict=True):
         system = tiny_system(*effects, cells=1, focal_adhesion={"kinetics": kinetics})
         x0 = system.x0.copy()
         nodes = system.states.view(x0, "cell1.position")
         nodes[:, 0] += moved
         run = simulate(
-            system, LinearlyImplicit(step=0.5), [0.0, duration], x0, seed=3, auxiliaries=False
+            system, LinearlyImplicit(step=0.5), [0.0, duration], x0, seed=seed, auxiliaries=False
         )
         end = system.states.view(run.x[-1], "cell1.position").copy()
         end[:, 0] -= moved
@@ -177,6 +186,9 @@ def test_sensitivity_to_a_shifted_start(kinetics, record_property):
     assert sensitivity(kinetics, 0.0) == 0.0
     assert found[0] < 1.0
     assert found[1] < 2.0
+    if kinetics == "switching":
+        # naive: a seed of its own for each run, which then differ without any shift
+        assert sensitivity(kinetics, 0.0, seeds=naive.own_seed_each(2)) > 1e-3
     if kinetics == "clutch":
         # smooth kinetics: a shift of 5 nm against a matrix of 1 um spacing stays below itself x 10
         assert found[0] < 10 * SHIFTS[0]

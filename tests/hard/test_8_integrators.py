@@ -57,6 +57,12 @@ def linear_relaxation(rate, method, tol, end):
     assert np.abs(run.x[1:, 0] - want).max() < 3e3 * tol
 
 
+def test_explicit_steps_of_a_fast_relaxation():
+    linear_relaxation(1e8, Radau, 1e-6, 1e4)
+    system = scalar(lambda t, x: [1e8 * (1.0 - x[0])], x0=[0.0])
+    assert not np.isfinite(naive.fixed_step_end(system, 100.0, 0.1)).all()
+
+
 def a_pulse_shorter_than_a_step_is_felt(start, width, method):
     """A pulse of area 1 anywhere in 100 s: felt whole where its edges are named as stop points.
 
@@ -116,6 +122,10 @@ def test_a_tolerance_of_rounding(method):
         assert np.abs(run.x[:, 0] / np.exp(-run.t) - 1).max() < 1e-11
 
 
+def test_a_tolerance_loosened_without_being_asked():
+    assert naive.tolerance_taken(1e-14) > 1.5e-14
+
+
 @pytest.mark.parametrize("t", [[0.0, 0.0], [1.0, 0.0], [0.0, np.nan], [], [[0.0, 1.0]]])
 def test_intervals_that_are_none(t):
     with pytest.raises(CellsysError):
@@ -131,6 +141,12 @@ def tiny_and_huge_intervals(start, length, method):
     elapsed = (start + length) - start
     assert abs(run.x[-1, 0] - np.exp(-1e-3 * elapsed)) < 1e-5
     assert run.t[-1] == start + length
+
+
+def test_a_short_interval_far_from_zero():
+    tiny_and_huge_intervals(1e7, 1e-6, DOP853)
+    # naive: a time that steps are added to; 1e-10 s at 1e7 s is below its rounding
+    assert naive.accumulated(1e7, 1e-10, 10**4) == 1e7
 
 
 def implicit_steps_halve_their_error(stiffness, pull, seed):

@@ -237,7 +237,7 @@ def test_divergence_of_explicit_euler_is_an_integration_error():
 
 
 def test_a_step_that_moves_too_far_is_halved_then_refused():
-    with pytest.raises(IntegrationError, match="moves too far"):
+    with pytest.raises(IntegrationError, match="largest_move = "):
         simulate(Springs(pull=1e7), LinearlyImplicit(step=0.5), TIMES)
     run = simulate(Springs(stiffness=5.0, pull=20.0, drag=0.5), LinearlyImplicit(step=0.5), TIMES)
     assert run.statistics["rejected"] > 0

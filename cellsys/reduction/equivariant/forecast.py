@@ -12,6 +12,7 @@ from cellsys.drawable import Drawable
 from cellsys.errors import DataError, ParameterError
 from cellsys.reduction.equivariant.dynamics import CellDynamics
 from cellsys.reduction.equivariant.records import CellRecord
+from cellsys.reduction.validity import Flag, beginnings
 from cellsys.system import Event
 
 LEVELS = (0.68, 0.95)
@@ -109,22 +110,6 @@ def conformal_bands(misses: Sequence[dict[str, np.ndarray]], dt: float, folds: i
     return ErrorBands(dt * np.arange(K), LEVELS, width, folds, len(misses))
 
 
-@dataclass(frozen=True)
-class Flag:
-    """Something outside the trained range: when, what, its value and the bound."""
-
-    time: float
-    what: str
-    value: float
-    bound: float
-
-    def __str__(self) -> str:
-        return (
-            f"t = {self.time:g} s: {self.what} {self.value:.3g} is outside the trained range "
-            f"(bound {self.bound:.3g})"
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class ValidityMonitor:
     """Ranges seen in training, with a margin, checked as a simulation goes on.
@@ -193,11 +178,10 @@ class ValidityMonitor:
         ]
         for what, values, bound in series:
             outside = np.asarray(values) > bound
-            begins = np.flatnonzero(outside & ~np.concatenate([[False], outside[:-1]]))
             sign = -1.0 if what == "amplitude (low)" else 1.0
             found += [
                 Flag(float(t[k]), what, sign * float(values[k]), sign * float(bound))
-                for k in begins
+                for k in beginnings(outside)
             ]
         return sorted(found, key=lambda f: f.time)
 
