@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import cellsys as cs
-from cellsys.reduction.equivariant.certificate import stress_of
+from cellsys.reduction.equivariant.certificate import moments_of
 from cellsys.reduction.equivariant.records import read_records
 from cellsys.scene.scene import Gradient
 
@@ -74,7 +74,7 @@ def samples(data: cs.Snapshots, model: cs.EquivariantModel) -> tuple[list, list]
     every = round(model.dt / data.dt)
     stress = [
         q / np.maximum(np.hypot(q[:, :1], q[:, 1:]), 1e-300)
-        for q in stress_of(data, records, model.dt)
+        for q in moments_of(data, records, model.dt)["virial"]
     ]
     sensed = [np.asarray(data.runs[r.run].d) for r in records]
     return stress, [

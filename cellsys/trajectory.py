@@ -163,6 +163,11 @@ class Trajectory(Drawable):
             raise DataError("this trajectory was recorded without its auxiliaries")
         return self.auxiliaries.view(np.asarray(self.eta), name)
 
+    def nodal(self) -> dict[str, np.ndarray]:
+        """Stored measures (T, N) of the matrix nodes by name: ``virial``, ``stiffness``."""
+        both = {"virial": self.virial, "stiffness": self.stiffness}
+        return {name: values for name, values in both.items() if values is not None}
+
     def residual_share(self) -> dict[str, float]:
         """Rms of ``step_residual`` over rms of dx/dt, for each state block of kind position."""
         if self.eta is None or "step_residual" not in self.auxiliaries:

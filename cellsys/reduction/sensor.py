@@ -161,3 +161,12 @@ def ridge_maps(
         slope = ((Vt.T @ (weight[:, None] * seen)) / spread[:, None]).T
         out.append(np.column_stack([mean - slope @ center, slope]))
     return out
+
+
+def ridge_weights(X: np.ndarray, y: np.ndarray, ridge: float) -> np.ndarray:
+    """Weights (n,) of columns scaled to rms 1, without intercept; penalty ridge * samples."""
+    size = np.sqrt(np.mean(X**2, axis=0))
+    size[size == 0] = 1.0
+    penalty = np.sqrt(ridge * len(y)) * np.eye(len(size))
+    rows = np.vstack([X / size, penalty])
+    return sla.lstsq(rows, np.concatenate([y, np.zeros(len(size))]))[0] / size

@@ -29,9 +29,8 @@ ROWS = 128  # rows of one block when streaming
 class RunData:
     """One run: x (T, n), eta and u (T - 1, .) averaged over the following intervals.
 
-    `commands` (T - 1, n_c) are the inputs behind u; `skip` lists intervals that must not be used
-    (an event happened in them); `eta_start` (n_eta,) are the laws at x_0; `d` (T, cells, 3) and
-    `virial` (T, N) are those of `Trajectory`.
+    `commands` (T - 1, n_c) are the inputs behind u; `skip` lists intervals with an event, which
+    are not used; `eta_start` (n_eta,) are the laws at x_0; `d` and `nodal` are those of a run.
     """
 
     x: np.ndarray
@@ -41,7 +40,7 @@ class RunData:
     skip: tuple[int, ...] = ()
     eta_start: np.ndarray | None = None
     d: np.ndarray | None = None
-    virial: np.ndarray | None = None
+    nodal: Mapping[str, np.ndarray] = field(default_factory=dict)
     label: str = ""
 
     @property
@@ -52,7 +51,7 @@ class RunData:
 
     def release(self) -> None:
         """Let go of memory-mapped pages; see `cellsys.store.release`."""
-        for array in (self.x, self.eta, self.u, self.virial):
+        for array in (self.x, self.eta, self.u, *self.nodal.values()):
             release(getattr(array, "_array", array))
 
     def usable(self) -> np.ndarray:
@@ -334,7 +333,7 @@ def _from_trajectories(runs: list[Trajectory], scale: str) -> Snapshots:
                 tuple(sorted({int(k) for k in hit})),
                 None if run.eta_start is None else np.asarray(run.eta_start)[keep_eta],
                 None if run.d is None else np.asarray(run.d),
-                run.virial,
+                run.nodal(),
                 run.label,
             )
         )

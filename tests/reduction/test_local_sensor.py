@@ -8,8 +8,8 @@ from cellsys.reduction.local_sensor import (
     LocalSensor,
     StiffnessMap,
     fit_local_sensor,
+    nodal_moments,
     sensor_from,
-    stress_moments,
 )
 
 RNG = np.random.default_rng(4)
@@ -75,14 +75,14 @@ def test_stress_wins_where_it_is_the_truth():
     known = network()
     z, _ = runs(known)
     q, d = moments_of(z)
-    sensor = fit_local_sensor(z, d, known, moments=q)
+    sensor = fit_local_sensor(z, d, known, moments={"virial": q})
     assert sensor.inputs.startswith("stress")
     assert sensor.training_error < 1.0
     assert sensor.tried["latent state"] > 10 * sensor.tried[sensor.inputs]
     without = fit_local_sensor(z, d, known)
     assert not any("stress" in name for name in without.tried)
     with pytest.raises(cs.DimensionError, match="moments"):
-        fit_local_sensor(z, d, known, moments=q[:-1])
+        fit_local_sensor(z, d, known, moments={"virial": q[:-1]})
 
 
 def test_squares_are_used_only_where_they_win():
@@ -98,25 +98,58 @@ def test_squares_are_used_only_where_they_win():
     assert "squares" not in fit_local_sensor(z, straight, known).inputs
 
 
-def test_stress_moments_of_a_hand_made_field():
-    """All the stress at one node on the x axis: the moment points there, with that size."""
-    rest = np.array([[8.0, 0.0, 0.0], [0.0, 8.0, 0.0], [1.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
-    virial = np.array([[3.0, 0.0, 5.0, 7.0]])  # the last two are inside and beyond the shell
-    q = stress_moments(rest, np.zeros((1, 4, 3)), virial, np.zeros((1, 2)))
-    np.testing.assert_allclose(q, [[3.0, 0.0]], atol=1e-6)
+def test_a_vector_is_read_from_states_that_turn_like_one():
+    """The strained stiffness is the network's plus a charge-1 read-out; noise states mislead the
+    plain regression, not the one that may only use that charge."""
+    known = network()
+    z, _ = runs(known, n=5, T=30, m=20)
+    charge = (np.arange(0, 3), np.arange(3, 6))
+    size = np.linalg.norm(np.concatenate([known.moment(v[:, -2:]) for v in z]), axis=1).mean()
+    c = size * np.array([0.4, -0.2, 0.1])
+    q = [
+        0.6 * known.moment(v[:, -2:]) + np.column_stack([v[:, :3] @ c, v[:, 3:6] @ c]) for v in z
+    ]
+    d = [np.column_stack([v / np.linalg.norm(v, axis=1, keepdims=True), 0 * v[:, 0]]) for v in q]
+    sensor = fit_local_sensor(z, d, known, moments={"stiffness": q}, charge=charge)
+    assert sensor.inputs == "stiffness under strain"
+    assert sensor.training_error < 0.1
+    np.testing.assert_allclose(sensor.a, 0.6, rtol=1e-3)
+    np.testing.assert_allclose(sensor.M[0, 1:4], c, rtol=1e-3)
+    np.testing.assert_allclose(sensor.M[1, 4:7], c, rtol=1e-3)
+    noisy = [v + 0.5 * size * RNG.standard_normal(v.shape) for v in q]
+    plain = fit_local_sensor(z, d, known, moments={"stiffness": noisy})
+    vector = fit_local_sensor(z, d, known, moments={"stiffness": noisy}, charge=charge)
+    name = "stiffness under strain"
+    assert vector.tried[name] < 0.7 * plain.tried[name]
 
 
-@pytest.mark.parametrize("truth", ["network", "stress", "squares"])
+def test_moments_of_hand_made_measures():
+    """All at one node on the x axis: the moment points there, with that size."""
+    rest = np.array([[8.0, 0.0, 0.0], [0.0, 8.0, 0.0], [0.0, 1.0, 0.0], [40.0, 0.0, 0.0]])
+    values = np.array([[3.0, 0.0, 5.0, 7.0]])  # the last two: under the cell, out of reach
+    nodal = {"virial": values, "stiffness": values}
+    q = nodal_moments(rest, np.zeros((1, 4, 3)), nodal, np.zeros((1, 2)))
+    np.testing.assert_allclose(q["virial"], [[3.0, 0.0]], atol=1e-6)
+    np.testing.assert_allclose(q["stiffness"], [[3.0, 5.0]], atol=1e-6)
+
+
+@pytest.mark.parametrize("truth", ["network", "stress", "strain", "squares"])
 def test_frozen_sensor_has_value_and_slope(truth):
     known = network()
     z, d = runs(known)
     q, along = moments_of(z)
+    moments = {"virial": q}
     if truth == "stress":
         d = along
+    elif truth == "strain":
+        q = [known.moment(p[:, -2:]) + 1e2 * part for p, part in zip(z, q, strict=True)]
+        moments = {"stiffness": q}
+        d = [np.column_stack([v / np.linalg.norm(v, axis=1, keepdims=True), 0 * v[:, 0]])
+             for v in q]  # fmt: skip
     elif truth == "squares":
         d = [np.column_stack([1 + p[:, -1] ** 2, p[:, -2] * p[:, -1], 0 * p[:, 0]]) for p in z]
-    sensor = fit_local_sensor(z, d, known, moments=q)
-    assert {"network": "local", "stress": "stress", "squares": "squares"}[truth] in sensor.inputs
+    sensor = fit_local_sensor(z, d, known, moments=moments)
+    assert {"network": "local"}.get(truth, truth) in sensor.inputs
     z = np.append(RNG.standard_normal(6), [1.0, -2.0])
     linear = sensor.frozen(z)
     np.testing.assert_allclose(linear.raw(z), sensor.raw(z), atol=1e-12)
@@ -131,7 +164,7 @@ def test_arrays_bring_it_back():
     q, along = moments_of(z)
     for sensor in (
         fit_local_sensor(z, d, known),
-        fit_local_sensor(z, along, known, moments=q),
+        fit_local_sensor(z, along, known, moments={"virial": q}),
         cs.fit_sensor(z, d),
     ):
         again = sensor_from(sensor.arrays())

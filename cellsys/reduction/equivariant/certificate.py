@@ -15,7 +15,7 @@ from cellsys.reduction.equivariant.worth import (
     measure,
     representation_error,
 )
-from cellsys.reduction.local_sensor import StiffnessMap, fit_local_sensor, stress_moments
+from cellsys.reduction.local_sensor import StiffnessMap, fit_local_sensor, nodal_moments
 from cellsys.reduction.provenance import constant_commands, data_hash
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import Snapshots
@@ -104,23 +104,27 @@ def sensor_of(
     if "matrix.stiffness" not in data.geometry:
         return fit_sensor(*samples(data, records), *shown)
     known = StiffnessMap(data.geometry["matrix.rest"][:, :2], data.geometry["matrix.stiffness"])
-    moments = stress_of(data, records, model.dt)
-    return fit_local_sensor(*samples(data, records), known, *shown, moments)
+    moments = moments_of(data, records, model.dt)
+    block = model.dynamics.blocks[1].size
+    first = model.dynamics.starts()[1] + np.arange(block)
+    return fit_local_sensor(
+        *samples(data, records), known, *shown, moments=moments, charge=(first, first + block)
+    )
 
 
-def stress_of(
+def moments_of(
     data: Snapshots, records: Sequence[CellRecord], step: float
-) -> list[np.ndarray] | None:
-    """Moment of tensile stress (K + 1, 2) about every record's cell, pN um; None where not stored.
-    """
-    if any(run.virial is None for run in data.runs):
-        return None
-    out = []
+) -> dict[str, list[np.ndarray]]:
+    """Moments (K + 1, 2) of the nodal measures that all runs store, about every record's cell."""
+    names = set.intersection(*(set(run.nodal) for run in data.runs))
+    out: dict[str, list[np.ndarray]] = {name: [] for name in sorted(names)}
     for r in records:
         run = data.runs[r.run]
         grid = stride(data, step) * np.arange(r.steps + 1)
         moved = data.states.view(np.asarray(run.x), "matrix.displacement")[grid]
-        virial = np.asarray(run.virial)[grid]
-        out.append(stress_moments(data.geometry["matrix.rest"], moved, virial, r.centers))
+        nodal = {name: np.asarray(run.nodal[name])[grid] for name in out}
+        found = nodal_moments(data.geometry["matrix.rest"], moved, nodal, r.centers)
+        for name, q in found.items():
+            out[name].append(q)
         run.release()
     return out

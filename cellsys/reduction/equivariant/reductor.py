@@ -36,6 +36,7 @@ from cellsys.reduction.equivariant.training import (
     train,
 )
 from cellsys.reduction.equivariant.worth import roll_record
+from cellsys.reduction.sensor import ridge_weights
 from cellsys.reduction.snapshots import Snapshots
 
 
@@ -291,7 +292,7 @@ class Equivariant:
             if velocity is not None:
                 table = np.concatenate([table, velocity], axis=2)
             X = np.cumsum(table, axis=0)[there]
-            solution = _ridge(X, path[there], self.read_ridge)
+            solution = ridge_weights(X, path[there], self.read_ridge)
             by_vertex = solution[: H * n].reshape(H, n)
             R_y = np.zeros(hats) if velocity is None else solution[H * n :]
             return ReadOut(by_vertex[:, :m].copy(), by_vertex[:, m:].copy(), R_y)
@@ -331,12 +332,3 @@ def _stack(arrays: list[np.ndarray], length: int, q: int) -> np.ndarray:
     for i, a in enumerate(arrays):
         out[: len(a), i] = a
     return np.concatenate([out.real, out.imag], axis=1) if q else out
-
-
-def _ridge(X: np.ndarray, y: np.ndarray, ridge: float) -> np.ndarray:
-    """Ridge regression without intercept on columns scaled to rms 1."""
-    size = np.sqrt(np.mean(X**2, axis=0))
-    size[size == 0] = 1.0
-    penalty = np.sqrt(ridge * len(y)) * np.eye(len(size))
-    rows = np.vstack([X / size, penalty])
-    return sla.lstsq(rows, np.concatenate([y, np.zeros(len(size))]))[0] / size
