@@ -80,7 +80,7 @@ class Equivariant:
     degree: int = 10
     port: PolarPort = field(default_factory=PolarPort)
     read_ridge: float = 1e-3
-    folds: int = 4
+    folds: int = 8
 
     def __post_init__(self) -> None:
         for name in ("step", "rate", "load_share", "ridge", "read_ridge"):
