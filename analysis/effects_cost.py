@@ -135,7 +135,7 @@ def extras() -> list[cs.Scene]:
 
 def main(quick: bool = False) -> None:
     """Both questions."""
-    alone(*((2.0, 1) if quick else (20.0, 5)))
+    alone(*((2.0, 1) if quick else (30.0, 9)))
     scenes = [cs.load_scene(name) for name in (SCENES[:1] if quick else SCENES)]
     scenes += [] if quick else extras()
     slower = {s.name: left_out(s, *((2.0, 1) if quick else (20.0, 6))) for s in scenes}

@@ -95,6 +95,11 @@ class _Factor:
         """The block's entries of a vector, shaped like `index`."""
         return vector[self.where].reshape(self.index.shape)
 
+    def square(self, vector: np.ndarray) -> float:
+        """Sum of squares of the block's entries."""
+        part = vector[self.where].ravel()
+        return part.dot(part)
+
     def put(self, vector: np.ndarray, values: np.ndarray) -> None:
         """Write the block's entries into a vector."""
         vector[self.where] = values.ravel() if isinstance(self.where, slice) else values
@@ -123,6 +128,7 @@ class _ImplicitStepper(Stepper):
         self.is_moving = self.moving.astype(float)
         self.velocity = np.zeros(system.states.size)
         self.kinks = frozenset(self.stops.tolist())
+        self.kept_dt, self.kept_over = 0.0, (self.force_scale, self.is_moving)
         self.factors: dict[str, _Factor] = {}
         self.since_look = method.refresh
         system.forget()
@@ -207,7 +213,7 @@ class _ImplicitStepper(Stepper):
             self._look(t, x, dt)
         self.since_look += 1
         end = x.copy() if t in self.kinks else x + dt * self.velocity
-        t_end = t + dt
+        t_end, (inertia, per_second) = t + dt, self._over(dt)
         for _ in range(self.method.corrections):
             system.advance_internal(t, x, end, dt)
             eta, u = system.efforts(t_end, end), system.u(t_end, end)
@@ -223,25 +229,30 @@ class _ImplicitStepper(Stepper):
             end = end + delta
             move += delta
             # What is left over, and the force that moved the nodes, both in place.
-            delta *= self.force_scale
-            delta /= dt
+            delta *= inertia
             residual -= delta
-            move /= dt
-            move *= self.force_scale
+            move *= inertia
             if self._explained(residual, move):
                 break
         velocity = end - x
-        velocity *= self.is_moving / dt
-        largest = dt * float(np.abs(velocity).max(initial=0.0))
+        velocity *= per_second
+        largest = dt * float(np.maximum.reduce(np.abs(velocity), initial=0.0))
         if largest > self.method.largest_move and isfinite(largest):
             return None
         system.advance_internal(t, x, end, dt)
         self.velocity = velocity
         self.events.extend(happened)
         self.x = end
-        for states, rates in system.internal_blocks():
-            eta[rates] = (end[states] - x[states]) / dt
+        if self.averages:
+            for states, rates in system.internal_blocks():
+                eta[rates] = (end[states] - x[states]) / dt
         return eta, u
+
+    def _over(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
+        """Drag over dt and 1/dt of the states that move; kept while dt stays."""
+        if self.kept_dt != dt:
+            self.kept_dt, self.kept_over = dt, (self.force_scale / dt, self.is_moving / dt)
+        return self.kept_over
 
     def _not_finite(self, rate: np.ndarray, t: float, dt: float) -> None:
         bad = np.flatnonzero(~np.isfinite(rate))
@@ -251,11 +262,10 @@ class _ImplicitStepper(Stepper):
     def _explained(self, left: np.ndarray, force: np.ndarray) -> bool:
         """Whether every block leaves at most `tolerance` of its force unexplained."""
         for factor in self.factors.values():
-            f, rest = factor.part(force).ravel(), factor.part(left).ravel()
-            if rest @ rest > self.method.tolerance**2 * (f @ f):
+            rest = factor.square(left)
+            if rest > self.method.tolerance**2 * factor.square(force):
                 # Nodes at rest leave rounding over, which no correction explains.
-                c = factor.part(self.force_scale).ravel()
-                if rest @ rest > _STILL**2 * (c @ c):
+                if rest > _STILL**2 * factor.square(self.force_scale):
                     return False
         return True
 

@@ -148,6 +148,17 @@ class SpreadingSystem(OverdampedSystem):
             inputs=inputs,
             W_eta=equations.W_eta,
         )
+        still = np.zeros(states.size)
+        still.setflags(write=False)
+
+        def driven(element: Element) -> tuple[Element, tuple, tuple]:
+            pushed = [_place(states, arrays[port.array]) for port in element.inputs]
+            return (
+                element,
+                tuple((piece, shape, mobility[piece]) for piece, shape in pushed),
+                tuple(_place(states, arrays[h.array]) for h in element.holds),
+            )
+
         for name, value in (
             ("cells", cells),
             ("matrix", matrix),
@@ -155,7 +166,6 @@ class SpreadingSystem(OverdampedSystem):
             ("arrays", nodes),
             ("_arrays", arrays),
             ("_drag", c),
-            ("_mobility", mobility),
             ("_last", ()),
             ("_senses", any(getattr(e, "sensing", None) is not None for e in elements)),
             # What a step goes through, found once: what is absent is not asked.
@@ -169,7 +179,8 @@ class SpreadingSystem(OverdampedSystem):
                     if e.ports
                 ),
             ),
-            ("_driven", tuple(e for e in elements if e.inputs or e.holds)),
+            ("_driven", tuple(driven(e) for e in elements if e.inputs or e.holds)),
+            ("_undriven", still),
             ("_advancing", tuple(e for e in elements if e.internal or e.holds)),
             ("_low_rank", _having("low_rank", elements)),
             ("_switching", _having("between_steps", elements)),
@@ -238,16 +249,16 @@ class SpreadingSystem(OverdampedSystem):
         return out
 
     def _u(self, s: Configuration) -> np.ndarray:
+        if not self._driven:
+            return self._undriven
         u = np.zeros(self.states.size)
-        for element in self._driven:
-            for port in element.inputs:
-                out = np.zeros_like(s.nodes[port.array])
+        for element, pushed, held in self._driven:
+            for piece, shape, mobility in pushed:
+                out = np.zeros(shape)
                 element.force(s, (out,))
-                piece = self.states.slice(self._arrays[port.array])
-                u[piece] += self._mobility[piece] * out.ravel()
-            if element.holds:
-                views = tuple(self.states.view(u, self._arrays[h.array]) for h in element.holds)
-                element.flows(s, views)
+                u[piece] += mobility * out.ravel()
+            if held:
+                element.flows(s, tuple([u[piece].reshape(shape) for piece, shape in held]))
         return u
 
     def geometry(self) -> dict[str, np.ndarray]:

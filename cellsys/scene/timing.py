@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.simulate import simulate
 from cellsys.mechanics.effects.protocol import Element
@@ -131,20 +133,21 @@ class _Watched(LinearlyImplicit):
 def step_cost(
     system: SpreadingSystem, step: float, duration: float, seed: int = 0, repeats: int = 1
 ) -> StepCost:
-    """Cost of a step over `duration` s, after as many to warm up.
+    """Cost of a step over `duration` s, after as many to warm up, without setting up the run.
 
-    Runs with and without the stopwatch take turns, `repeats` times; of each kind the shortest
+    Steps with and without the stopwatch take turns, `repeats` times; of each kind the shortest
     counts: what other processes take is left out.
     """
     watch = Stopwatch()
     plain, watched = LinearlyImplicit(step=step), _Watched(step=step, watch=watch)
-    t = [duration, 2.0 * duration]
     x0 = simulate(system, plain, [0.0, duration], seed=seed, auxiliaries=False).x[-1]
 
     def once(method: LinearlyImplicit) -> tuple[float, int]:
+        stepper = method.start(system, duration, x0, np.random.default_rng(seed))
+        stepper.averages = False
         began = time.process_time()
-        run = simulate(system, method, t, x0, seed=seed, auxiliaries=False)
-        return time.process_time() - began, run.statistics["steps"]
+        stepper.advance(2.0 * duration)
+        return time.process_time() - began, stepper.statistics["steps"]
 
     whole = least = float("inf")
     for _ in range(repeats):
