@@ -154,6 +154,8 @@ class _ImplicitStepper(Stepper):
     def _factorise(self, block: MajorantBlock, dt: float) -> _Factor:
         keep = self.moving[block.index[:, 0]]
         index = block.index[keep]
+        if not index.size:  # all of it is held
+            return _Factor(index, slice(0, 0), block.key, dt, None)
         matrix = block.matrix()
         if not keep.all():
             matrix = sp.csc_array(matrix)[:, keep][keep]
