@@ -136,10 +136,6 @@ class Layout(Sequence[Block]):
         return np.flatnonzero(mask)
 
 
-def _layout(value: Layout | Sequence[Block | str]) -> Layout:
-    return value if isinstance(value, Layout) else Layout(value)
-
-
 def _matrix(value: Any, name: str, shape: tuple[int, int]) -> sp.csr_array:
     matrix = sp.csr_array(shape) if value is None else sp.csr_array(value, dtype=float)
     if matrix.shape != shape:
@@ -230,7 +226,8 @@ class OdeSystem:
 
     def __post_init__(self) -> None:
         for name in ("states", "auxiliaries", "inputs"):
-            object.__setattr__(self, name, _layout(getattr(self, name)))
+            value = getattr(self, name)
+            object.__setattr__(self, name, value if isinstance(value, Layout) else Layout(value))
         n, n_eta = self.states.size, self.auxiliaries.size
         x0 = np.array(self.x0, dtype=float)
         if x0.shape != (n,):
@@ -296,7 +293,6 @@ class OdeSystem:
         return self._symbolic
 
     # Optional hooks. What a system does not override, it does not have.
-
     def events(self) -> tuple[EventFunction, ...]:
         """Guard functions located by root finding; none by default."""
         return ()
@@ -373,6 +369,10 @@ class OverdampedSystem(OdeSystem):
     def efforts(self, t: float, x: np.ndarray) -> np.ndarray:
         """Like `eta`, with the blocks that hold rates of internal states left at zero."""
         raise NotImplementedError
+
+    def rate(self, x: np.ndarray, eta: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """W_x x + W_eta eta + u (n,), in a new array."""
+        return self.W_eta @ eta + u + (self.W_x @ x if self.W_x.nnz else 0.0)
 
     def forget(self) -> None:
         """Drop what is kept between looks at the tangent: a run must not see an earlier one."""

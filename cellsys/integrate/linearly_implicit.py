@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -80,13 +81,28 @@ class LinearlyImplicit:
 class _Factor:
     """A kept factorisation of C/dt + M on one block of states.
 
-    `index` is (k,) for one coordinate, (k, c) for c that share the factorisation.
+    `index` is (k,) for one coordinate, (k, c) for c that share the factorisation; `where` is the
+    same as a slice, where the states lie one after the other.
     """
 
     index: np.ndarray
+    where: Any
     key: Any
     dt: float
     solve: Any
+
+    def part(self, vector: np.ndarray) -> np.ndarray:
+        """The block's entries of a vector, shaped like `index`."""
+        return vector[self.where].reshape(self.index.shape)
+
+    def square(self, vector: np.ndarray) -> float:
+        """Sum of squares of the block's entries."""
+        part = vector[self.where].ravel()
+        return part.dot(part)
+
+    def put(self, vector: np.ndarray, values: np.ndarray) -> None:
+        """Write the block's entries into a vector."""
+        vector[self.where] = values.ravel() if isinstance(self.where, slice) else values
 
 
 def _lu(matrix: sp.csc_array) -> Callable[[np.ndarray], np.ndarray]:
@@ -111,7 +127,8 @@ class _ImplicitStepper(Stepper):
         self.force_scale = np.where(self.moving, self.drag, 0.0)
         self.is_moving = self.moving.astype(float)
         self.velocity = np.zeros(system.states.size)
-        self.linear = system.W_x.nnz > 0
+        self.kinks = frozenset(self.stops.tolist())
+        self.kept_dt, self.kept_over = 0.0, (self.force_scale, self.is_moving)
         self.factors: dict[str, _Factor] = {}
         self.since_look = method.refresh
         system.forget()
@@ -137,6 +154,8 @@ class _ImplicitStepper(Stepper):
     def _factorise(self, block: MajorantBlock, dt: float) -> _Factor:
         keep = self.moving[block.index[:, 0]]
         index = block.index[keep]
+        if not index.size:  # all of it is held
+            return _Factor(index, slice(0, 0), block.key, dt, None)
         matrix = block.matrix()
         if not keep.all():
             matrix = sp.csc_array(matrix)[:, keep][keep]
@@ -144,7 +163,10 @@ class _ImplicitStepper(Stepper):
         solve = (block.factor or _lu)(matrix)
         if index.shape[1] == 1:
             index = index[:, 0]
-        return _Factor(index, block.key, dt, solve)
+        first = int(index.min(initial=0))
+        in_line = np.array_equal(index.ravel(), np.arange(first, first + index.size))
+        where = slice(first, first + index.size) if in_line else index
+        return _Factor(index, where, block.key, dt, solve)
 
     def _solve(self, rhs: np.ndarray, low_rank: tuple) -> np.ndarray:
         """(C/dt + M + sum of k g g^T)^-1 rhs by kept factors and the Woodbury identity.
@@ -154,7 +176,7 @@ class _ImplicitStepper(Stepper):
         out = np.zeros_like(rhs)
         for factor in self.factors.values():
             if factor.index.size:
-                out[factor.index] = factor.solve(rhs[factor.index])
+                factor.put(out, factor.solve(factor.part(rhs)))
                 self.statistics["solves"] += 1
         if not low_rank:
             return out
@@ -163,9 +185,9 @@ class _ImplicitStepper(Stepper):
         for g, z, item in zip(G, Z, low_rank, strict=True):
             g[item.index] = item.direction
             for factor in self.factors.values():
-                part = g[factor.index]
+                part = factor.part(g)
                 if part.any():
-                    z[factor.index] = factor.solve(part)
+                    factor.put(z, factor.solve(part))
         small = G @ Z.T
         for k, item in enumerate(low_rank):
             small[k, k] += 1.0 / item.stiffness
@@ -198,54 +220,65 @@ class _ImplicitStepper(Stepper):
         if self.since_look >= self.method.refresh or happened or self._dt_changed(dt):
             self._look(t, x, dt)
         self.since_look += 1
-        velocity = self.velocity if t not in self.stops else np.zeros_like(self.velocity)
-        end = x + dt * velocity
-        t_end = t + dt
+        end = x.copy() if t in self.kinks else x + dt * self.velocity
+        t_end, (inertia, per_second) = t + dt, self._over(dt)
         for _ in range(self.method.corrections):
             system.advance_internal(t, x, end, dt)
             eta, u = system.efforts(t_end, end), system.u(t_end, end)
             self.statistics["rhs"] += 1
-            rate = system.W_eta @ eta
-            rate += u
-            if self.linear:
-                rate += system.W_x @ end
-            if not np.isfinite(rate.sum()):
-                self._not_finite(rate, t_end, dt)
+            residual = system.rate(end, eta, u)
+            if not isfinite(np.add.reduce(residual)):
+                self._not_finite(residual, t_end, dt)
             move = end - x
-            residual = self.force_scale * (rate - move / dt)
+            # C (F/C - move/dt), in place: the rate is not needed again.
+            residual -= move / dt
+            residual *= self.force_scale
             delta = self._solve(residual, system.low_rank(t_end, end))
             end = end + delta
             move += delta
-            if self._explained(residual - self.force_scale * delta / dt, move / dt):
+            # What is left over, and the force that moved the nodes, both in place.
+            delta *= inertia
+            residual -= delta
+            move *= inertia
+            if self._explained(residual, move):
                 break
-        velocity = (end - x) * (self.is_moving / dt)
-        largest = dt * float(np.abs(velocity).max(initial=0.0))
-        if np.isfinite(largest) and largest > self.method.largest_move:
+        velocity = end - x
+        velocity *= per_second
+        largest = dt * float(np.maximum.reduce(np.abs(velocity), initial=0.0))
+        if largest > self.method.largest_move and isfinite(largest):
             return None
         system.advance_internal(t, x, end, dt)
         self.velocity = velocity
         self.events.extend(happened)
         self.x = end
-        for states, rates in system.internal_blocks():
-            eta[rates] = (end[states] - x[states]) / dt
+        if self.averages:
+            for states, rates in system.internal_blocks():
+                eta[rates] = (end[states] - x[states]) / dt
         return eta, u
+
+    def _over(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
+        """Drag over dt and 1/dt of the states that move; kept while dt stays."""
+        if self.kept_dt != dt:
+            self.kept_dt, self.kept_over = dt, (self.force_scale / dt, self.is_moving / dt)
+        return self.kept_over
 
     def _not_finite(self, rate: np.ndarray, t: float, dt: float) -> None:
         bad = np.flatnonzero(~np.isfinite(rate))
         name = self.system.states.names[bad[0]] if bad.size else "some state"
         self.fail(t, dt, f"LinearlyImplicit: the rate of {name} is not finite; use a smaller step")
 
-    def _explained(self, left: np.ndarray, rate: np.ndarray) -> bool:
+    def _explained(self, left: np.ndarray, force: np.ndarray) -> bool:
         """Whether every block leaves at most `tolerance` of its force unexplained."""
-        force = self.force_scale * rate
         for factor in self.factors.values():
-            f, rest = force[factor.index].ravel(), left[factor.index].ravel()
-            if rest @ rest > self.method.tolerance**2 * (f @ f):
+            rest = factor.square(left)
+            if rest > self.method.tolerance**2 * factor.square(force):
                 # Nodes at rest leave rounding over, which no correction explains.
-                c = self.force_scale[factor.index].ravel()
-                if rest @ rest > _STILL**2 * (c @ c):
+                if rest > _STILL**2 * factor.square(self.force_scale):
                     return False
         return True
 
     def _dt_changed(self, dt: float) -> bool:
-        return any(factor.dt != dt for factor in self.factors.values())
+        for factor in self.factors.values():
+            if factor.dt != dt:
+                return True
+        return False

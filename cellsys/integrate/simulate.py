@@ -290,6 +290,7 @@ def _march(
     progress: Callable[[float], None] | None,
 ) -> tuple[dict[str, Any], tuple[Event, ...]]:
     stepper = integrator.start(system, float(t[0]), x0, rng)
+    stepper.averages = auxiliaries
     first, wall = 0, 0.0
     kept = rows.last_checkpoint()
     if kept is not None:

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cellsys.bondgraph import BondGraph, Element, Internal, NodalEffort, One, R
+from cellsys.mechanics.compiled import compiled
 from cellsys.mechanics.effects.protocol import JunctionArray, Port
 from cellsys.system import Block
 
@@ -61,3 +62,13 @@ def junction_graph(
     for block, start in internal:
         elements.append(Internal(f"{block.name} inside", block, None, start))
     return BondGraph(elements, bonds, separate=True, name="full-order model")
+
+
+@compiled
+def product(indptr, indices, data, vector, out):
+    """Add W vector to `out`, W in compressed rows: for one small product a step."""
+    for i in range(out.size):
+        total = 0.0
+        for k in range(indptr[i], indptr[i + 1]):
+            total += data[k] * vector[indices[k]]
+        out[i] += total

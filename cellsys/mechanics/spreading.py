@@ -10,10 +10,8 @@ absent has no block, no state and no cost.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
-import scipy.sparse as sp
 
 from cellsys.errors import SceneError
 from cellsys.laws.sensing import nodal_sum
@@ -27,10 +25,10 @@ from cellsys.mechanics.effects.protocol import (
     Element,
     JunctionArray,
     Site,
-    Stiffness,
 )
 from cellsys.mechanics.geometry.disc import Disc
-from cellsys.mechanics.junctions import junction_graph
+from cellsys.mechanics.junctions import junction_graph, product
+from cellsys.mechanics.tangent import combine
 from cellsys.system import Block, Event, Layout, MajorantBlock, OverdampedSystem, RankOne
 
 
@@ -150,6 +148,17 @@ class SpreadingSystem(OverdampedSystem):
             inputs=inputs,
             W_eta=equations.W_eta,
         )
+        still = np.zeros(states.size)
+        still.setflags(write=False)
+
+        def driven(element: Element) -> tuple[Element, tuple, tuple]:
+            pushed = [_place(states, arrays[port.array]) for port in element.inputs]
+            return (
+                element,
+                tuple((piece, shape, mobility[piece]) for piece, shape in pushed),
+                tuple(_place(states, arrays[h.array]) for h in element.holds),
+            )
+
         for name, value in (
             ("cells", cells),
             ("matrix", matrix),
@@ -157,21 +166,32 @@ class SpreadingSystem(OverdampedSystem):
             ("arrays", nodes),
             ("_arrays", arrays),
             ("_drag", c),
-            ("_mobility", mobility),
-            ("_internal", tuple(inside)),
             ("_last", ()),
             ("_senses", any(getattr(e, "sensing", None) is not None for e in elements)),
+            # What a step goes through, found once: what is absent is not asked.
+            ("_nodes", tuple((a, *_place(states, b)) for a, b in arrays.items())),
+            ("_inside", tuple((b.name, *_place(states, b.name)) for b in inside)),
             (
-                "_switching",
-                tuple(e for e in elements if type(e).between_steps is not Element.between_steps),
+                "_forces",
+                tuple(
+                    (e, tuple(_place(auxiliaries, p.block) for p in e.ports))
+                    for e in elements
+                    if e.ports
+                ),
+            ),
+            ("_driven", tuple(driven(e) for e in elements if e.inputs or e.holds)),
+            ("_undriven", still),
+            ("_advancing", tuple(e for e in elements if e.internal or e.holds)),
+            ("_low_rank", _having("low_rank", elements)),
+            ("_switching", _having("between_steps", elements)),
+            (
+                "_blocks",
+                tuple((states.slice(b.name), auxiliaries.slice(f"{b.name}.rate")) for b in inside),
             ),
             ("_cholesky", {}),
         ):
             object.__setattr__(self, name, value)
-        index = {}
-        for array, block in arrays.items():
-            piece = states.slice(block)
-            index[array] = np.arange(piece.start, piece.stop).reshape(-1, 3)
+        index = {a: np.arange(states.size)[piece].reshape(-1, 3) for a, piece, _ in self._nodes}
         object.__setattr__(self, "_index", index)
 
     def nodes_of(self, array: str) -> int:
@@ -185,8 +205,8 @@ class SpreadingSystem(OverdampedSystem):
         for kept_x, kept in self._last:
             if kept_x is x and kept.t == t:
                 return kept
-        nodes = {a: self.states.view(x, b) for a, b in self._arrays.items()}
-        internal = {b.name: self.states.view(x, b.name) for b in self._internal}
+        nodes = {a: x[piece].reshape(shape) for a, piece, shape in self._nodes}
+        internal = {b: x[piece].reshape(shape) for b, piece, shape in self._inside}
         return Configuration(t, nodes, internal)
 
     def energy(self, t: float, x: np.ndarray) -> dict[str, float]:
@@ -205,17 +225,14 @@ class SpreadingSystem(OverdampedSystem):
 
     def _efforts(self, s: Configuration) -> np.ndarray:
         eta = np.zeros(self.auxiliaries.size)
-        for element in self.elements:
-            if element.ports:
-                element.efforts(
-                    s, tuple(self.auxiliaries.view(eta, p.block) for p in element.ports)
-                )
+        for element, places in self._forces:
+            element.efforts(s, tuple([eta[piece].reshape(shape) for piece, shape in places]))
         return eta
 
     def eta(self, t: float, x: np.ndarray) -> np.ndarray:
         s = self.configuration(t, x)
         eta = self._efforts(s)
-        v = self.W_eta @ eta + self._u(s)
+        v = self.rate(x, eta, self._u(s))
         velocity = {a: self.states.view(v, b) for a, b in self._arrays.items()}
         for element in self.elements:
             if element.internal:
@@ -226,17 +243,22 @@ class SpreadingSystem(OverdampedSystem):
     def u(self, t: float, x: np.ndarray) -> np.ndarray:
         return self._u(self.configuration(t, x))
 
+    def rate(self, x: np.ndarray, eta: np.ndarray, u: np.ndarray) -> np.ndarray:
+        out = u.copy() if self._driven else np.zeros(self.states.size)
+        product(self.W_eta.indptr, self.W_eta.indices, self.W_eta.data, eta, out)
+        return out
+
     def _u(self, s: Configuration) -> np.ndarray:
+        if not self._driven:
+            return self._undriven
         u = np.zeros(self.states.size)
-        for element in self.elements:
-            for port in element.inputs:
-                out = np.zeros_like(s.nodes[port.array])
+        for element, pushed, held in self._driven:
+            for piece, shape, mobility in pushed:
+                out = np.zeros(shape)
                 element.force(s, (out,))
-                piece = self.states.slice(self._arrays[port.array])
-                u[piece] += self._mobility[piece] * out.ravel()
-            if element.holds:
-                views = tuple(self.states.view(u, self._arrays[h.array]) for h in element.holds)
-                element.flows(s, views)
+                u[piece] += mobility * out.ravel()
+            if held:
+                element.flows(s, tuple([u[piece].reshape(shape) for piece, shape in held]))
         return u
 
     def geometry(self) -> dict[str, np.ndarray]:
@@ -280,10 +302,7 @@ class SpreadingSystem(OverdampedSystem):
         return self._drag
 
     def internal_blocks(self) -> tuple[tuple[slice, slice], ...]:
-        return tuple(
-            (self.states.slice(b.name), self.auxiliaries.slice(f"{b.name}.rate"))
-            for b in self._internal
-        )
+        return self._blocks
 
     def forget(self) -> None:
         for element in self.elements:
@@ -292,9 +311,8 @@ class SpreadingSystem(OverdampedSystem):
     def advance_internal(self, t: float, x: np.ndarray, x_new: np.ndarray, dt: float) -> None:
         s, end = self.configuration(t, x), self.configuration(t + dt, x_new)
         object.__setattr__(self, "_last", ((x, s), (x_new, end)))
-        for element in self.elements:
-            if element.internal or element.holds:
-                element.advance(s, end, dt)
+        for element in self._advancing:
+            element.advance(s, end, dt)
 
     def majorant(self, t: float, x: np.ndarray, dt: float) -> tuple[MajorantBlock, ...]:
         s = self.configuration(t, x)
@@ -310,10 +328,12 @@ class SpreadingSystem(OverdampedSystem):
         return tuple(blocks)
 
     def low_rank(self, t: float, x: np.ndarray) -> tuple[RankOne, ...]:
+        if not self._low_rank:
+            return ()
         s = self.configuration(t, x)
         return tuple(
             RankOne(self._index[array].ravel(), k, g.ravel())
-            for element in self.elements
+            for element in self._low_rank
             for array, k, g in element.low_rank(s)
         )
 
@@ -331,50 +351,11 @@ class SpreadingSystem(OverdampedSystem):
         return x, tuple(events)
 
 
-def combine(array: str, index: np.ndarray, items: list[Stiffness], t: float) -> list[MajorantBlock]:
-    """Sum the stiffnesses of one array into as few blocks as they allow.
-
-    Coupled parts make one block of all coordinates; otherwise coordinates with the same parts
-    share a block and its factorisation.
-    """
-    n = len(index)
-    if any(not item.axes for item in items):
-        groups = {tuple(range(len(items))): ()}
-    else:
-        groups = {}
-        for axis in range(3):
-            members = tuple(i for i, item in enumerate(items) if axis in item.axes)
-            groups[members] = (*groups.get(members, ()), axis)
-    blocks = []
-    for members, axes in groups.items():
-        chosen = [items[i] for i in members]
-        keys = tuple(item.key for item in chosen)
-        # A part without a key may differ at every look.
-        key = (t, keys) if any(k is None for k in keys) else keys
-        blocks.append(
-            MajorantBlock(
-                f"{array}.{''.join('xyz'[a] for a in axes) or 'xyz coupled'}",
-                index[:, axes] if axes else index.reshape(-1, 1),
-                partial(_sum, n, chosen, bool(axes)),
-                key,
-            )
-        )
-    return blocks
+def _place(layout: Layout, name: str) -> tuple[slice, tuple[int, ...]]:
+    """Where a block lies, and its shape."""
+    return layout.slice(name), layout[name].shape
 
 
-def _sum(n: int, items: list[Stiffness], separate: bool) -> sp.csc_array:
-    total = sp.csc_array((n, n) if separate else (3 * n, 3 * n))
-    for item in items:
-        matrix = item.matrix()
-        if not separate and item.axes:
-            on = np.zeros(3)
-            on[list(item.axes)] = 1.0
-            entries = matrix.tocoo()
-            if np.array_equal(entries.row, entries.col):
-                # Diagonal, as foundation and adhesion are: no need for a Kronecker product.
-                spread = np.outer(matrix.diagonal(), on).ravel()
-                matrix = sp.csc_array(sp.diags_array(spread))
-            else:
-                matrix = sp.kron(matrix, sp.diags_array(on), format="csc")
-        total = total + matrix
-    return sp.csc_array(total)
+def _having(method: str, elements: tuple[Element, ...]) -> tuple[Element, ...]:
+    """The elements that have an optional method of their own."""
+    return tuple(e for e in elements if getattr(type(e), method) is not getattr(Element, method))

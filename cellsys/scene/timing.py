@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.simulate import simulate
 from cellsys.mechanics.effects.protocol import Element
@@ -29,12 +31,18 @@ def effect_of(element: Element) -> str:
 
 
 class Stopwatch:
-    """Exclusive times and calls by label."""
+    """Exclusive times and calls by label, without the time that reading the clock takes."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self.calls: dict[str, int] = {}
         self._inner: list[float] = []
+        self._watched: list[tuple[Element, str]] = []
+        self._reading = 0.0
+        nothing = self.timed("nothing", lambda: None)
+        for _ in range(1000):
+            nothing()
+        self._reading = self.seconds.pop("nothing") / self.calls.pop("nothing")
 
     def timed(self, label: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """The function, with its calls counted and its time without that of timed ones inside."""
@@ -45,7 +53,7 @@ class Stopwatch:
             try:
                 return function(*arguments)
             finally:
-                took = time.process_time() - began
+                took = time.process_time() - began - self._reading
                 inside = self._inner.pop()
                 self.seconds[label] = self.seconds.get(label, 0.0) + took - inside
                 self.calls[label] = self.calls.get(label, 0) + 1
@@ -60,11 +68,21 @@ class Stopwatch:
             label = effect_of(element)
             for name in _METHODS:
                 if getattr(type(element), name, None) is not getattr(Element, name, None):
-                    setattr(element, name, self.timed(label, getattr(element, name)))
+                    self._set(element, name, self.timed(label, getattr(element, name)))
             if "stiffness" in vars(element):
                 self._watch_matrices(label, element)
             if hasattr(element, "sensed"):
-                element.sensed = self.timed("stiffness_sensing", element.sensed)
+                self._set(element, "sensed", self.timed("stiffness_sensing", element.sensed))
+
+    def release(self) -> None:
+        """The elements as they were."""
+        for element, name in self._watched:
+            delattr(element, name)
+        self._watched.clear()
+
+    def _set(self, element: Element, name: str, function: Callable[..., Any]) -> None:
+        setattr(element, name, function)
+        self._watched.append((element, name))
 
     def _watch_matrices(self, label: str, element: Element) -> None:
         inner = element.stiffness
@@ -77,7 +95,17 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class StepCost:
-    """Mean time of one step, s: whole, in each effect's own calls, in factorising and solving."""
+    """Mean time of one step, s.
+
+    Parameters
+    ----------
+    whole : float
+        Of a run that nothing watches.
+    laws : dict
+        In each effect's own calls: forces, energies' gradients, rates, bounds of its tangent.
+    solve : float
+        Summing the bounds, factorising, and solving with the factors and the rank-one terms.
+    """
 
     whole: float
     laws: dict[str, float]
@@ -105,33 +133,43 @@ class _Watched(LinearlyImplicit):
 def step_cost(
     system: SpreadingSystem, step: float, duration: float, seed: int = 0, repeats: int = 1
 ) -> StepCost:
-    """Cost of a step of a fresh system, over `duration` s after as many to warm up.
+    """Cost of a step over `duration` s, after as many to warm up, without setting up the run.
 
-    Of `repeats` the one with the shortest whole: what other processes take is left out. The
-    system is watched for good: build a fresh one for other purposes.
+    Steps with and without the stopwatch take turns, `repeats` times; of each kind the shortest
+    counts: what other processes take is left out.
     """
     watch = Stopwatch()
-    watch.watch(system)
-    method = _Watched(step=step, watch=watch)
-    x0 = simulate(system, method, [0.0, duration], seed=seed, auxiliaries=False).x[-1]
-    best: StepCost | None = None
-    for _ in range(repeats):
-        watch.seconds.clear()
+    plain, watched = LinearlyImplicit(step=step), _Watched(step=step, watch=watch)
+    x0 = simulate(system, plain, [0.0, duration], seed=seed, auxiliaries=False).x[-1]
+
+    def once(method: LinearlyImplicit) -> tuple[float, int]:
+        stepper = method.start(system, duration, x0, np.random.default_rng(seed))
+        stepper.averages = False
         began = time.process_time()
-        run = simulate(
-            system, method, [duration, 2.0 * duration], x0, seed=seed, auxiliaries=False
-        )
-        whole, n = time.process_time() - began, run.statistics["steps"]
-        laws = {label: seconds / n for label, seconds in watch.seconds.items()}
-        cost = StepCost(whole / n, laws, laws.pop(_SOLVE))
-        best = cost if best is None or cost.whole < best.whole else best
-    return best
+        stepper.advance(2.0 * duration)
+        return time.process_time() - began, stepper.statistics["steps"]
+
+    whole = least = float("inf")
+    for _ in range(repeats):
+        took, steps = once(plain)
+        whole = min(whole, took / steps)
+        watch.seconds.clear()
+        watch.watch(system)
+        try:
+            took, steps = once(watched)
+        finally:
+            watch.release()
+        if took < least:
+            least, seconds = took, dict(watch.seconds)
+    laws = {label: total / steps for label, total in seconds.items()}
+    return StepCost(whole, laws, laws.pop(_SOLVE))
 
 
 def time_shares(
     system: SpreadingSystem, step: float, duration: float, seed: int = 0
 ) -> dict[str, float]:
     """Share of a run's time per effect, in the solve and in the rest; see `step_cost`."""
-    cost = step_cost(system, step, duration, seed)
-    shares = {label: seconds / cost.whole for label, seconds in cost.laws.items()}
-    return {**shares, _SOLVE: cost.solve / cost.whole, _REST: cost.rest / cost.whole}
+    cost = step_cost(system, step, duration, seed, repeats=2)
+    parts = {**cost.laws, _SOLVE: cost.solve, _REST: max(0.0, cost.rest)}
+    whole = sum(parts.values())
+    return {label: seconds / whole for label, seconds in parts.items()}

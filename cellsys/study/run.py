@@ -254,8 +254,9 @@ def _check(scene: Scene, order: int, folder: Path) -> None:
         if place.exists() and not place.is_dir():
             raise ParameterError(f"out = {str(folder)!r}: {str(place)!r} is a file; give a folder")
     if len(scene.cells) != 1 or scene.matrix is None:
+        there = f"{len(scene.cells)} cell(s) and {'no' if scene.matrix is None else 'a'} matrix"
         raise SceneError(
-            f"a study needs exactly one cell on a matrix, this scene has {len(scene.cells)} cells; "
+            f"a study needs exactly one cell on a matrix, this scene has {there}; "
             "use run_scene and snapshots for other scenes"
         )
     if "lamellipodium" not in scene.effects:

@@ -5,8 +5,9 @@ import pytest
 import scipy.linalg as sla
 
 from cellsys.mechanics.effects.protocol import Element
-from cellsys.scene.registry import EFFECTS
+from cellsys.scene.registry import LISTED
 from tests.mechanics.energies import ENERGIES
+from tests.mechanics.scenes import TABLE
 from tests.mechanics.small_scenes import tiny_system
 from tests.mechanics.test_majorant import bound, tangent
 
@@ -106,12 +107,34 @@ def test_force_is_minus_the_gradient_of_the_stated_energy(case, seed):
         assert abs((mine[1] - mine[0]) - (stated[1] - stated[0])) < 1e-9 * size
 
 
-def test_every_effect_with_an_energy_has_a_second_one():
-    """The clutch's zipper (horizontal weights depend on positions) is checked in test_forces."""
-    for name in EFFECTS:
+# Effects whose forces are not the gradient of an energy alone, each with the reason.
+NO_ENERGY = {
+    "drag": "dissipates",
+    "focal_adhesion": "shares forces by weights; its gradient parts are in test_forces",
+    "lamellipodium": "feeds energy in",
+    "external_load": "feeds energy in",
+    "external_strain": "prescribes places",
+    "noise": "feeds energy in",
+    "stiffness_sensing": "no force",
+    "polarity": "no force",
+}
+
+
+def test_every_effect_has_a_second_energy_or_a_reason():
+    """A new effect belongs to one of the two."""
+    assert set(ENERGIES) | set(NO_ENERGY) == set(LISTED)
+    assert not set(ENERGIES) & set(NO_ENERGY)
+    for name in NO_ENERGY.keys() - {"focal_adhesion"}:
         for item in of_effect(tiny_system(name), name):
-            if type(item).energy is not Element.energy:
-                assert name in ENERGIES or name == "focal_adhesion"
+            assert type(item).energy is Element.energy, name
+
+
+def test_every_bound_of_a_tangent_is_compared_with_it():
+    """Here, or among the standard effects of test_majorant."""
+    for name in set(LISTED) - set(TABLE["effects"]) - set(NEW):
+        for item in of_effect(tiny_system(name), name):
+            for method in ("stiffness", "low_rank"):
+                assert getattr(type(item), method) is getattr(Element, method), (name, method)
 
 
 INTERNAL = [c for c in CASES if c not in ("substrate_contact", "foundation")]

@@ -187,6 +187,12 @@ def test_a_patch_may_be_moved_and_starts_where_its_history_does():
     u = run(system, [0, 5, 10]).block("matrix.displacement")
     assert np.abs(u[:, held, 0] - np.array([[0.2], [0.3], [0.4]])).max() < 1e-15
     assert np.abs(u[-1, ~held & ~system.matrix.clamped]).max() > 0.05
+    whole = {"region": "patch", "strain": 0.01, "radius": "20 um", "history": history}
+    system = matrix_only("matrix_elasticity", "external_strain", external_strain=whole)
+    u = run(system, [0, 5]).block("matrix.displacement")[-1]  # no node is left to solve for
+    inside = np.hypot(*system.matrix.position[:, :2].T) <= 20.0
+    assert inside.all()
+    assert np.abs(u[:, 0] - 0.015 * system.matrix.position[:, 0]).max() < 1e-15
     with pytest.raises(SceneError, match="covers no matrix node"):
         matrix_only("external_strain", external_strain={"region": "patch", "x": "30 um"})
 

@@ -145,7 +145,11 @@ def test_a_sweep_by_two_processes_gives_the_same_table(call, scene_file):  # noq
 
 
 def test_the_parts_of_a_step_add_up():
-    cost = step_cost(build(Scene.parse(tiny("membrane_elasticity", "volume"))), 0.5, 5.0)
-    assert cost.rest > 0
-    assert cost.whole == pytest.approx(cost.solve + sum(cost.laws.values()) + cost.rest)
+    system = build(Scene.parse(tiny("membrane_elasticity", "volume")))
+    cost = step_cost(system, 0.5, 5.0, repeats=5)
+    # Whole and parts are timed in different runs: on a busy machine the rest may fall below zero.
+    assert cost.rest > -0.5 * cost.whole
+    assert min(cost.whole, cost.solve, *cost.laws.values()) > 0
     assert set(cost.laws) == {"membrane_elasticity", "volume"}
+    # The system is as it was: nothing is watched any more.
+    assert not any(callable(value) for e in system.elements for value in vars(e).values())
