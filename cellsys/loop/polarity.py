@@ -95,7 +95,10 @@ class PolarityLaw:
             When p or d is not (3,) or not finite.
         """
         p, d = self._vectors(p, d)
-        dt = real_number(dt, "dt")
+        dt = real_array(dt, "dt")
+        if dt.shape or not np.isfinite(dt):
+            raise DataError(f"dt is not finite, or not one number: {dt!r}")
+        dt = float(dt)
         return exact_step(self._off_antipode(p, d), d, self.kappa, dt)
 
     def _off_antipode(self, p: np.ndarray, d: np.ndarray) -> np.ndarray:

@@ -55,9 +55,7 @@ def doors(M):
 @pytest.mark.parametrize("name", BAD)
 def test_what_is_no_matrix_is_refused_everywhere(name):
     M = BAD[name]
-    for door in doors(M):
-        if name == "1e308" and door is doors(M)[0]:
-            continue
+    for door in doors(M)[: -1 if name == "1e308" else None]:  # a model may have any rate
         with pytest.raises(CellsysError):
             door()
     for take in (

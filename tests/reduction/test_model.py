@@ -91,7 +91,7 @@ def test_rows_of_V(model):
         ({"V": np.eye(5, 2), "n_states": 6}, DimensionError, "n_states"),
         ({"z_start": np.zeros(3)}, DimensionError, "z_start"),
         ({"dt": 0.0}, ParameterError, "dt must be > 0"),
-        ({"dt": float("nan")}, ParameterError, "dt must be > 0"),
+        ({"dt": float("nan")}, ParameterError, "dt must be a finite"),
         ({"B": np.zeros((2, 2)), "input_names": ("a",)}, DimensionError, "1 input names"),
         ({"V": np.eye(5, 2), "blocks": {"field": [5]}}, DimensionError, "field"),
         ({"blocks": {"field": [0]}}, DimensionError, "field"),
