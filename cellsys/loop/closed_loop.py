@@ -40,6 +40,7 @@ from cellsys.reduction.model import LatentModel
 from cellsys.reduction.sensor import StiffnessSensor
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
+from cellsys.units import real_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +188,7 @@ class ClosedLoop:
     ) -> Trajectory:
         """Run the loop at the times `t` (s); `Exponential` is made for it. No laws are logged."""
         z0 = self.z0 if z0 is None else np.asarray(z0, float)
-        p0 = self.p0 if p0 is None else np.asarray(p0, float)
+        p0 = self.p0 if p0 is None else real_array(p0, "p0")
         _check_point(z0, p0)
         return simulate(
             self.system,

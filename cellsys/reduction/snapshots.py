@@ -96,7 +96,7 @@ class Snapshots:
     geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.scale not in SCALES:
+        if not isinstance(self.scale, str) or self.scale not in SCALES:
             raise ParameterError(f"scale must be one of {', '.join(SCALES)}, got {self.scale!r}")
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise ParameterError(f"dt must be > 0 s, got {self.dt!r}")
