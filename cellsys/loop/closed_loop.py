@@ -374,10 +374,9 @@ def closed_loop(
         When the model has no sensor, or inputs that are not heading features of one cell.
     """
     sensor = model.sensor if sensor is None else sensor
-    if sensor is None:
-        raise ParameterError("the model has no sensor; fit one or pass sensor=")
     if not hasattr(sensor, "S_d"):
-        raise ParameterError(f"sensor must be a StiffnessSensor, got {type(sensor).__name__}")
+        had = "the model has no sensor" if sensor is None else f"got {type(sensor).__name__}"
+        raise ParameterError(f"{had}; sensor must be a StiffnessSensor: fit one or pass sensor=")
     if sensor.S_d.shape[1] != model.order:
         raise DimensionError(
             f"the sensor reads {sensor.S_d.shape[1]} latent states, the model has {model.order}"
