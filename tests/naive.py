@@ -234,3 +234,14 @@ def inverse_distance_weights(positions):
 def scale_by_squares(X):
     """Scale of every column as the root of its mean square."""
     return np.sqrt((X * X).mean(axis=0))
+
+
+def state_space_of_anything(A):
+    """python-control's system of a matrix: NaN is let in."""
+    n = len(A)
+    return control.ss(A, np.ones((n, 1)), np.ones((1, n)), 0, 0)
+
+
+def pairs_compared(cells):
+    """How many pairs an overlap check compares that looks at all of them."""
+    return cells * (cells - 1) // 2

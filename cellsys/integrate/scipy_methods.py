@@ -9,10 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.integrate as integrate
 
-from cellsys.errors import ParameterError
+from cellsys.errors import IntegrationError, ParameterError
 from cellsys.integrate.hybrid import solve_hybrid
 from cellsys.integrate.solution import Solution
 from cellsys.system import OdeSystem
+from cellsys.units import real_number
 
 _LEAST = 100 * float(np.finfo(float).eps)  # scipy would raise a smaller rtol to this by itself
 
@@ -34,13 +35,15 @@ class _Method:
         name = type(self).__name__
         for label in ("rtol", "atol", "max_step", "max_steps", "cascade"):
             value = getattr(self, label)
+            if value != np.inf:
+                value = real_number(value, f"{name}.{label}")
             if not (value > 0 and (np.isfinite(value) or label == "max_step")):
                 raise ParameterError(f"{name}.{label} must be > 0, got {value!r}")
         if self.rtol < _LEAST:
             raise ParameterError(
                 f"{name}.rtol must be >= {_LEAST:.2g}, a hundred roundings, got {self.rtol!r}"
             )
-        if self.first_step is not None and not self.first_step > 0:
+        if self.first_step is not None and not real_number(self.first_step, "first_step") > 0:
             raise ParameterError(f"{name}.first_step must be > 0 s, got {self.first_step!r}")
 
     def solve(
@@ -50,7 +53,7 @@ class _Method:
 
         def start(fun: Any, t0: float, x: np.ndarray, bound: float) -> Any:
             first = None if self.first_step is None else min(self.first_step, bound - t0)
-            return self._solver(
+            solver = self._solver(
                 fun,
                 t0,
                 x,
@@ -60,6 +63,17 @@ class _Method:
                 max_step=self.max_step,
                 first_step=first,
             )
+            # scipy tries steps of NaN for ever.
+            step = getattr(solver, "h_abs", 0.0)
+            if not (np.isfinite(step) and np.all(np.isfinite(fun(t0, x)))):
+                raise IntegrationError(
+                    f"{type(self).__name__}: the law is NaN or inf at the start of a piece, or "
+                    "right after it; mend the law there, or start elsewhere",
+                    time=t0,
+                    state_norm=float(np.linalg.norm(x)),
+                    step=0.0,
+                )
+            return solver
 
         return solve_hybrid(
             system,

@@ -13,6 +13,7 @@ from cellsys.errors import BudgetError, DataError, DimensionError, ParameterErro
 from cellsys.integrate.estimate import estimate_of, first_order
 from cellsys.system import Block, Event, Layout, OdeSystem
 from cellsys.trajectory import ErrorEstimate, Trajectory
+from cellsys.units import real_array
 
 SEGMENT = 20  # samples between two checkpoints
 
@@ -85,11 +86,13 @@ def record_shapes(
 
 def check_times(t: Any) -> np.ndarray:
     """Times as a float array: at least one, finite, increasing."""
-    times = np.atleast_1d(np.asarray(t, dtype=float))
+    times = np.atleast_1d(real_array(t, "t"))
     if times.ndim != 1 or not times.size:
         raise DimensionError(f"t must be a 1-D array of times in s, got shape {np.shape(t)}")
     if not np.all(np.isfinite(times)):
         raise DataError("t holds NaN or inf")
+    if np.abs(times).max() > 1e300:
+        raise DataError(f"t reaches {np.abs(times).max():g} s; it must stay below 1e300 s")
     if np.any(np.diff(times) <= 0):
         raise DataError("t must increase from sample to sample")
     return times
@@ -146,7 +149,7 @@ def simulate(
         When the system has events and the integrator does not look for them.
     """
     times = check_times(t)
-    start = np.array(system.x0 if x0 is None else x0, dtype=float)
+    start = real_array(system.x0 if x0 is None else x0, "x0").copy()
     if start.shape != system.x0.shape:
         raise DimensionError(f"x0 must have shape {system.x0.shape}, got {start.shape}")
     if not np.all(np.isfinite(start)):

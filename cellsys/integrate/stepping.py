@@ -10,12 +10,25 @@ import numpy as np
 
 from cellsys.errors import IntegrationError, ParameterError
 from cellsys.system import Event, OdeSystem
+from cellsys.units import real_number
+
+MOST_STEPS = 1e8
 
 
 def check_step(name: str, step: float) -> None:
     """A step is a finite number of seconds above zero."""
-    if not (np.isfinite(step) and step > 0):
+    if not real_number(step, f"{name}.step") > 0:
         raise ParameterError(f"{name}.step must be a finite time > 0 s, got {step!r}")
+
+
+def steps_of(span: float, step: float) -> int:
+    """Number of equal steps of at most `step` in `span`; refused beyond `MOST_STEPS`."""
+    if span > MOST_STEPS * step:
+        raise ParameterError(
+            f"{span:g} s in steps of {step:g} s are more than {MOST_STEPS:g} steps between two "
+            "samples or stop points; take longer steps or another method"
+        )
+    return max(1, int(np.ceil(span / step * (1.0 - 1e-12))))
 
 
 def cuts(t0: float, t1: float, step: float, stops: np.ndarray) -> np.ndarray:
@@ -24,7 +37,7 @@ def cuts(t0: float, t1: float, step: float, stops: np.ndarray) -> np.ndarray:
     edges = np.concatenate([[t0], inner, [t1]])
     times = [np.array([t0])]
     for a, b in pairwise(edges):
-        n = max(1, int(np.ceil((b - a) / step * (1.0 - 1e-12))))
+        n = steps_of(b - a, step)
         times.append(a + (b - a) * np.arange(1, n + 1) / n)
         times[-1][-1] = b
     return np.concatenate(times)

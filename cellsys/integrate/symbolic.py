@@ -15,8 +15,9 @@ import numpy as np
 
 from cellsys.errors import IntegrationError, ParameterError
 from cellsys.integrate.solution import Solution
-from cellsys.integrate.stepping import check_step
+from cellsys.integrate.stepping import check_step, steps_of
 from cellsys.system import OdeSystem
+from cellsys.units import real_number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,12 +156,12 @@ class RungeKutta4:
 def _check_tolerances(method: Any) -> None:
     for name in ("rtol", "atol", "max_steps"):
         value = getattr(method, name)
-        if not (np.isfinite(value) and value > 0):
+        if not real_number(value, f"{type(method).__name__}.{name}") > 0:
             raise ParameterError(f"{type(method).__name__}.{name} must be > 0, got {value!r}")
 
 
 def _pieces(span: float, step: float) -> int:
-    return max(1, int(np.ceil(span / step * (1 - 1e-12))))
+    return steps_of(span, step)
 
 
 def solve_symbolic(

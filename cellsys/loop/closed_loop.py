@@ -40,6 +40,7 @@ from cellsys.reduction.model import LatentModel
 from cellsys.reduction.sensor import StiffnessSensor
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
+from cellsys.units import real_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,8 +187,8 @@ class ClosedLoop:
         auxiliaries: bool = False,
     ) -> Trajectory:
         """Run the loop at the times `t` (s); `Exponential` is made for it. No laws are logged."""
-        z0 = self.z0 if z0 is None else np.asarray(z0, float)
-        p0 = self.p0 if p0 is None else np.asarray(p0, float)
+        z0 = self.z0 if z0 is None else real_array(z0, "z0")
+        p0 = self.p0 if p0 is None else real_array(p0, "p0")
         _check_point(z0, p0)
         return simulate(
             self.system,
@@ -337,7 +338,7 @@ class ClosedLoop:
 def _check_point(z: np.ndarray, p: np.ndarray) -> None:
     if not (np.all(np.isfinite(z)) and np.all(np.isfinite(p))):
         raise DataError("z or p holds NaN or inf")
-    if np.hypot(p[0], p[1]) == 0.0:
+    if np.hypot(p[0], p[1]) < 1e-150:  # its square is no double
         raise DataError("p is normal to the substrate or zero: it has no heading")
 
 
@@ -373,8 +374,9 @@ def closed_loop(
         When the model has no sensor, or inputs that are not heading features of one cell.
     """
     sensor = model.sensor if sensor is None else sensor
-    if sensor is None:
-        raise ParameterError("the model has no sensor; fit one or pass sensor=")
+    if not hasattr(sensor, "S_d"):
+        had = "the model has no sensor" if sensor is None else f"got {type(sensor).__name__}"
+        raise ParameterError(f"{had}; sensor must be a StiffnessSensor: fit one or pass sensor=")
     if sensor.S_d.shape[1] != model.order:
         raise DimensionError(
             f"the sensor reads {sensor.S_d.shape[1]} latent states, the model has {model.order}"

@@ -12,6 +12,7 @@ from cellsys.population.forms import Superposition, check_form
 from cellsys.population.graph import InteractionGraph, check_positions
 from cellsys.population.headings import loop_of
 from cellsys.population.maps import basis_of, field_rows
+from cellsys.units import real_array
 
 MOST_CELLS = 10**15  # counts of poles stay whole numbers in 64 bits
 
@@ -63,7 +64,7 @@ def couple(
         positions = check_positions(positions)
         sizes["positions"] = len(positions)
     if headings is not None:
-        headings = np.atleast_1d(np.asarray(headings, dtype=float))
+        headings = np.atleast_1d(real_array(headings, "headings"))
         sizes["headings"] = len(headings)
     if n_cells is not None:
         if isinstance(n_cells, bool) or not isinstance(n_cells, (int, np.integer)) or n_cells < 1:

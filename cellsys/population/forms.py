@@ -21,6 +21,7 @@ import numpy as np
 
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.population.split import DOUBTFUL, EPS, FieldSplit
+from cellsys.units import real_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +67,13 @@ class Block:
 
 
 def _map(value: Any, name: str, m: int) -> np.ndarray:
-    try:
-        array = np.asarray(getattr(value, "matrix", value), dtype=float)
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{name} is no array of numbers: {error}") from error
+    array = real_array(getattr(value, "matrix", value), name)
     if array.shape != (m, m):
         raise DimensionError(f"{name} must be ({m}, {m}) like A, got {array.shape}")
     if not np.all(np.isfinite(array)):
         raise DataError(f"{name} holds NaN or inf")
+    if np.abs(array).max(initial=0.0) > 1e100:
+        raise DataError(f"{name} holds {np.abs(array).max():.3g}; it must stay below 1e100")
     return array
 
 

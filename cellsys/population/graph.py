@@ -11,6 +11,7 @@ import scipy.linalg as sla
 import scipy.sparse as sp
 
 from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
+from cellsys.units import real_array
 
 _DENSE_BYTES = 4e9
 
@@ -34,7 +35,7 @@ class InteractionGraph:
 
     def __post_init__(self) -> None:
         w = self.weights
-        w = sp.csr_array(w, dtype=float) if sp.issparse(w) else np.array(w, dtype=float)
+        w = sp.csr_array(w, dtype=float) if sp.issparse(w) else real_array(w, "graph").copy()
         if w.ndim != 2 or w.shape[0] != w.shape[1] or w.shape[0] == 0:
             raise DimensionError(f"weights must be (K, K), got {w.shape}")
         if not np.all(np.isfinite(w.data if sp.issparse(w) else w)):
@@ -130,7 +131,7 @@ class InteractionGraph:
 
 def check_positions(positions: Any) -> np.ndarray:
     """Positions as finite floats (K, 2) or (K, 3), um."""
-    x = np.atleast_2d(np.asarray(positions, dtype=float))
+    x = np.atleast_2d(real_array(positions, "positions"))
     if x.ndim != 2 or x.shape[1] not in (2, 3):
         raise DimensionError(f"positions must be (K, 2) or (K, 3) in um, got {x.shape}")
     if not np.all(np.isfinite(x)):

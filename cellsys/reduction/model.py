@@ -146,10 +146,11 @@ class LatentModel(Drawable):
                 continue
             if not np.all(np.isfinite(value)):
                 raise DataError(f"{name} holds NaN or inf; a model cannot be made from it")
-            if np.abs(value).max(initial=0.0) > 1e150:
+            # A may hold any rate: its growth is what a roll-out is refused for.
+            if name != "A" and np.abs(value).max(initial=0.0) > 1e150:
                 raise DataError(
                     f"{name} holds {np.abs(value).max():.3g}, beyond 1e150: its squares are no "
-                    "doubles; take another unit of time or of the states"
+                    "doubles; take other units"
                 )
             value.setflags(write=False)
         if self.dt is not None and not real_number(self.dt, "dt") > 0:

@@ -18,6 +18,7 @@ from cellsys.reduction.regression import LatentParts
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import Snapshots
 from cellsys.reduction.validity import TrainedRange
+from cellsys.units import real_number
 
 
 def reduce(
@@ -54,6 +55,11 @@ def reduce(
     if (order is None) == (tol is None):
         raise ParameterError("give either order= or tol=")
     method = PCR() if method is None else method
+    if not isinstance(data, Snapshots):
+        raise ParameterError(f"data must be cs.snapshots([...]), got {type(data).__name__}")
+    if isinstance(method, type) or not hasattr(method, "fit"):
+        raise ParameterError(f"method must be a reductor such as cs.PCR(), got {method!r}")
+    tol = None if tol is None else real_number(tol, "tol")
     if isinstance(method, Equivariant):
         order = method.order_for(data, float(tol)) if order is None else order
         return method.learn(data, order, test)

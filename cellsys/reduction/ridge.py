@@ -13,6 +13,7 @@ from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.regression import LatentParts, StepSamples, learned_model, truncated
 from cellsys.reduction.snapshots import Snapshots
+from cellsys.units import real_number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +44,8 @@ class Ridge:
     svd: ExactSVD | RandomisedSVD | None = None
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.ridge) and self.ridge >= 0):
-            raise ParameterError(f"Ridge.ridge must be finite and >= 0, got {self.ridge!r}")
+        if not 0 <= real_number(self.ridge, "Ridge.ridge") <= 1e100:
+            raise ParameterError(f"Ridge.ridge must be in [0, 1e100], got {self.ridge!r}")
         if self.step is not None and not (np.isfinite(self.step) and self.step > 0):
             raise ParameterError(f"Ridge.step must be > 0 s, got {self.step!r}")
 

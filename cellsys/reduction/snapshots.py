@@ -96,7 +96,7 @@ class Snapshots:
     geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.scale not in SCALES:
+        if not isinstance(self.scale, str) or self.scale not in SCALES:
             raise ParameterError(f"scale must be one of {', '.join(SCALES)}, got {self.scale!r}")
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise ParameterError(f"dt must be > 0 s, got {self.dt!r}")
@@ -218,16 +218,12 @@ class Snapshots:
         return table[:, keep], tuple(n for n, k in zip(self.command_names, keep, strict=True) if k)
 
     def commands_of(self, run: RunData, names: tuple[str, ...]) -> np.ndarray | None:
-        """The named commands of one run (T - 1, len(names)).
-
-        Harmonics that were not recorded are made from the recorded amplitude and heading.
-        """
+        """The named commands (T - 1, len(names)) of one run; harmonics from what was recorded."""
         if run.commands is None:
             return None
-        table = np.asarray(run.commands)
-        if not names:
-            return np.zeros((len(table), 0))
-        return np.column_stack([named_command(table, self.command_names, n) for n in names])
+        t = np.asarray(run.commands)
+        columns = (named_command(t, self.command_names, n) for n in names)
+        return np.column_stack([np.zeros((len(t), 0)), *columns])
 
     @property
     def has_u(self) -> bool:

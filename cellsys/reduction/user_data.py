@@ -15,6 +15,7 @@ from cellsys.errors import DataError, DimensionError, FileFormatError, Parameter
 from cellsys.reduction.snapshots import RunData, Snapshots
 from cellsys.store.archive import READ_ERRORS, check_growth
 from cellsys.system import Block, Layout
+from cellsys.units import real_array, real_number
 
 _NPZ_KEYS = ("x", "eta", "u", "commands", "W_x", "W_eta", "dt", "t")
 
@@ -59,8 +60,8 @@ def from_user(
                 raise DataError(f"{path.name} is sampled every {step:g} s, others every {dt:g} s")
             continue
         try:
-            array = np.asarray(run, dtype=float)
-        except (TypeError, ValueError) as error:
+            array = real_array(run, f"run {i}")
+        except DataError as error:
             raise ParameterError(f"run {i} is not an array of numbers: {error}") from error
         data.append(RunData(array, label=f"run {i}"))
     if dt is None:
@@ -79,7 +80,7 @@ def from_user(
         tuple(data),
         states,
         Layout([Block("eta", (n_eta,), "1", "component", "rate")] if n_eta else []),
-        float(dt),
+        real_number(dt, "dt"),
         sp.csr_array((n, n)) if W_x is None else sp.csr_array(np.asarray(W_x, float)),
         sp.csr_array((n, n_eta)) if W_eta is None else sp.csr_array(np.asarray(W_eta, float)),
         tuple(f"command[{k}]" for k in range(n_commands)),

@@ -229,7 +229,16 @@ class Scene:
                         f"cells[{i}] reaches {reach:.3g} um from the centre, outside the disc of "
                         f"radius {0.5 * self.matrix.diameter:.3g} um; move it or enlarge the matrix"
                     )
-            for j in range(i):
+        self._check_overlaps()
+
+    def _check_overlaps(self) -> None:
+        """Every cell against those in the squares around its own, as wide as two radii."""
+        wide = 2.0 * max((c.radius for c in self.cells), default=1.0)
+        squares: dict[tuple[float, float], list[int]] = {}
+        for i, a in enumerate(self.cells):
+            x, y = (v // wide for v in a.position)
+            near = ((x + p, y + q) for p in (-1, 0, 1) for q in (-1, 0, 1))
+            for j in sorted(j for square in near for j in squares.get(square, ())):
                 b = self.cells[j]
                 gap = float(np.hypot(a.position[0] - b.position[0], a.position[1] - b.position[1]))
                 if gap < a.radius + b.radius:
@@ -237,6 +246,7 @@ class Scene:
                         f"cells[{j}] and cells[{i}] overlap: centres {gap:.3g} um apart, radii "
                         f"{b.radius:g} + {a.radius:g} um; move them apart"
                     )
+            squares.setdefault((x, y), []).append(i)
 
     @property
     def times(self) -> np.ndarray:

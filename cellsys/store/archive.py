@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cellsys.errors import FileFormatError
+from cellsys.errors import FileFormatError, ParameterError
 from cellsys.store.atomic import atomic_path
 
 _HEADER = "cellsys"
@@ -56,6 +56,8 @@ def save_archive(
     metadata : mapping
         Anything JSON can hold.
     """
+    if not isinstance(path, (str, Path)) or not Path(path).name or "\0" in str(path):
+        raise ParameterError(f"path must name a file such as 'm.npz', got {path!r}")
     target = Path(path)
     if target.suffix != ".npz":
         target = target.with_name(target.name + ".npz")

@@ -253,6 +253,30 @@ def test_random_instances(case):
     hold(case, 5)
 
 
+@pytest.mark.parametrize("value", ["PCR", 3, PCR, object()])
+def test_methods_data_and_numbers_that_are_none(value):
+    data = one_step_data()
+    with pytest.raises(ParameterError, match="method must be a reductor"):
+        reduce(data, order=2, method=value)
+    with pytest.raises(ParameterError, match="snapshots"):
+        reduce(value, order=2)
+    X = np.random.default_rng(0).standard_normal((30, 4))
+    for bad in (X + 0j, X.astype(str), [[1, 2], [3]]):
+        with pytest.raises(CellsysError):
+            snapshots([bad], dt=1.0)
+    for dt in ("a", 1j, [1.0], 0.0, np.nan):
+        with pytest.raises(CellsysError, match="dt"):
+            snapshots([X], dt=dt)
+    for tol in ("a", [0.1], np.nan, 2.0):
+        with pytest.raises(CellsysError, match="tol"):
+            reduce(data, tol=tol)
+    for ridge in ("a", None, 1j, 1e308, -1.0):
+        with pytest.raises(CellsysError, match=r"Ridge\.ridge"):
+            Ridge(ridge=ridge)
+    with pytest.raises(ParameterError, match="scale must be one of"):
+        snapshots([X], dt=1.0, scale=np.ones(4))
+
+
 def test_options_of_methods_are_checked():
     with pytest.raises(ParameterError):
         Ridge(ridge=-1.0)

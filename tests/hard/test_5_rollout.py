@@ -122,6 +122,7 @@ def every_order_of_the_equations(order, method, points):
         assert np.abs(model.reconstruct(z[1]) - run[-1]).max() < 0.2
 
 
+@pytest.mark.slow
 def test_equations_in_explicit_steps():
     every_order_of_the_equations(8, "TPWL", 5)
     system, _ = slow_chain()
@@ -345,7 +346,7 @@ CASES = (
 @pytest.mark.parametrize(
     "case",
     [
-        pytest.param(c, marks=pytest.mark.slow if "equivariant" in c.name else ())
+        pytest.param(c, marks=pytest.mark.slow if "equ" in c.name else ())
         for c in CASES
     ],
     ids=lambda c: c.name,

@@ -263,6 +263,17 @@ CASES = (
 )
 
 
-@pytest.mark.parametrize("case", [c for c in CASES if c not in NETWORKS], ids=lambda c: c.name)
+LONG = ("steps from anywhere", "folded shell")
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(c, marks=pytest.mark.slow if c.name in LONG else ())
+        for c in CASES
+        if c not in NETWORKS
+    ],
+    ids=lambda c: c.name,
+)
 def test_random_instances(case):
     hold(case, 3)

@@ -357,6 +357,7 @@ def a_cell_leaves_the_substrate(height, strength, seed):
     converges(system, x, 0.25, 4.0, system.states.slice("cell1.position"), 2e-3 * (1.0 + height))
 
 
+@pytest.mark.slow
 def test_a_zipper_that_knows_no_reach():
     a_cell_leaves_the_substrate(20.0, 1.0, 0)
     system = clutched()

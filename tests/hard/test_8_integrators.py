@@ -99,6 +99,38 @@ def nan_late_is_named(when, method):
     assert caught.value.step >= 0.0
 
 
+@pytest.mark.parametrize("method", [*NUMERIC, CVODES])
+@pytest.mark.parametrize("late", [0.0, 1e-9, 1e-4])
+def test_a_law_that_is_nan_from_the_start_does_not_hang(method, late):
+    """scipy's first step becomes NaN, and is tried for ever."""
+    system = OdeSystem(
+        states=["x"], x0=[1.0],
+        forcing=lambda t, x: np.array([-x[0] if t < late else np.nan]),
+    )  # fmt: skip
+    with pytest.raises((IntegrationError, NotSymbolicError)):
+        simulate(system, method(rtol=1e-6, atol=1e-9), [0.0, 1.0], auxiliaries=False)
+
+
+@pytest.mark.parametrize("value", [0, -1, np.nan, "a", None, 1j, [1e-6]])
+def test_tolerances_and_steps_that_are_none(value):
+    for method in (*NUMERIC, CVODES, IDAS):
+        with pytest.raises(CellsysError, match=r"rtol|atol"):
+            method(rtol=value, atol=1e-8)
+        with pytest.raises(CellsysError, match=r"rtol|atol"):
+            method(rtol=1e-6, atol=value)
+    for method in (LinearlyImplicit, ExplicitEuler, RungeKutta4):
+        with pytest.raises(CellsysError, match="step"):
+            method(step=value)
+    decay = scalar(lambda t, x: [-x[0]])
+    for t in ([1j], ["a"], [0.0, 1e308], [-1e308, 1e308]):
+        with pytest.raises(CellsysError):
+            simulate(decay, DOP853(rtol=1e-6, atol=1e-9), t)
+    for method in (ExplicitEuler, RungeKutta4):
+        # 1e15 steps: refused before their times are stored
+        with pytest.raises(CellsysError, match="steps"):
+            simulate(decay, method(step=1e-15), [0.0, 1.0])
+
+
 def test_naive_steps_return_the_nan():
     system = OdeSystem(
         states=["x"], x0=[1.0], forcing=lambda t, x: np.array([np.nan if t > 5 else -x[0]])

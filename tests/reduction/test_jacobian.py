@@ -159,7 +159,7 @@ def test_refusals():
     with pytest.raises(IntegrationError, match="diverges"):
         grown.predict(np.ones(2), None, np.arange(0.0, 200.0))
     for z0, u, t, error in (
-        (np.ones(3), None, [0.0, 1.0], DataError),
+        (np.ones(3), None, [0.0, 1.0], DimensionError),
         (np.ones(2), None, [1.0, 0.0], DataError),
         (np.ones(2), np.ones(5), [0.0, 1.0], DimensionError),
     ):
