@@ -1,6 +1,6 @@
 """What accuracy costs in time: one page of tables and work-precision figures.
 
-    python analysis/accuracy_cost.py [--quick] [--out DIR]
+    python analysis/accuracy_cost.py [--quick] [--out DIR] [--only SECTION]
 
 Writes accuracy_cost.html, and CSV, JSON and PNG of every sweep. Latent loops are random stable
 ones of the order asked for (a reduced model of a scene has no other structure); full-order runs
@@ -218,8 +218,9 @@ def plan(quick):
     return scene, train, held, pair
 
 
-def trained(page, quick, folder):
+def trained(page, quick, out):
     """Order, training runs, kinetics, and Table 4: two cells by models of real runs."""
+    folder = out / "runs"
     scene, train, held, pair = plan(quick)
     workers = 1 if quick else 2
     runs = cs.run_ensemble(train + held, folder, workers=workers)
@@ -291,31 +292,26 @@ class Page:
         print(f"\npage: {self.folder / 'accuracy_cost.html'}")
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--out", type=Path, help="folder of the page and its runs")
-    given = parser.parse_args()
-    if given.out is not None:
-        return everything(given.quick, given.out)
-    with tempfile.TemporaryDirectory() as scratch:
-        return everything(given.quick, Path(scratch))
-
-
-def everything(quick, out):
-    page = Page(out)
+def loops(page, quick, out):
+    """Closed loops: every integrator, for one cell and for ten."""
     m, end, repeats = (20, 120.0, 1) if quick else (100, 3000.0, 5)
     t, tolerances = np.arange(0.0, end + 1.0), TOLERANCES[1:8:3] if quick else TOLERANCES
     loop = latent_loop(m)
     for cells in (1, 10):
         page.sweep(loop_sweep(loop, cells, t, tolerances, repeats))
+
+
+def sizes(page, quick, out):
+    """Closed loops against order and samples; K cells by modes and by the dense matrix."""
+    m, end, repeats = (20, 120.0, 1) if quick else (100, 3000.0, 5)
+    t = np.arange(0.0, end + 1.0)
     page.table(
         "closed loop against its order", ["m", "time", "error estimate"],
         orders(t, [5, 20] if quick else [5, 20, 50, 100, 200], repeats),
     )  # fmt: skip
     page.table(
         "closed loop against the interval of its samples", ["interval", "samples", "time"],
-        intervals(loop, end, [1.0, 10.0] if quick else [0.1, 1.0, 10.0, 100.0], repeats),
+        intervals(latent_loop(m), end, [1.0, 10.0] if quick else [0.1, 1.0, 10.0, 100.0], repeats),
     )  # fmt: skip
     page.table(
         "poles of K cells", ["K", "by modes", "dense"],
@@ -324,12 +320,42 @@ def everything(quick, out):
     few, span = ([2], 30.0) if quick else ([2, 10, 100, 1000], 300.0)
     page.axis(cs.coupling_cost(cell(10 if quick else 20), few,
                                np.arange(0.0, span + 1.0, 10.0), cs.Feedback()))  # fmt: skip
-    trained(page, quick, out / "runs")
+
+
+def crawler(page, quick, out):
+    """The event-driven crawler."""
     page.sweep(crawler_sweep(1.0 if quick else 12.0, 1))
+
+
+def full_order(page, quick, out):
+    """The full-order model: integrators, effects on and off (no quick form)."""
+    if quick:
+        return
     scene = cs.load_scene(HERE.parent / "examples" / "spreading.toml")
-    if not quick:
-        page.sweep(full_order_sweep(scene, 10.0, "full order, spreading"))
-        page.table("effects on and off", ["scene", "time"], choices(scene, 5.0))
+    page.sweep(full_order_sweep(scene, 10.0, "full order, spreading"))
+    page.table("effects on and off", ["scene", "time"], choices(scene, 5.0))
+
+
+SECTIONS = {f.__name__: f for f in (loops, sizes, trained, crawler, full_order)}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--out", type=Path, help="folder of the page and its runs")
+    parser.add_argument("--only", choices=SECTIONS, action="append", help="this section alone")
+    given = parser.parse_args()
+    chosen = given.only or list(SECTIONS)
+    if given.out is not None:
+        return everything(given.quick, given.out, chosen)
+    with tempfile.TemporaryDirectory() as scratch:
+        return everything(given.quick, Path(scratch), chosen)
+
+
+def everything(quick, out, chosen):
+    page = Page(out)
+    for name in chosen:
+        SECTIONS[name](page, quick, out)
     page.write()
 
 
