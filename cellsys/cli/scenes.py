@@ -58,7 +58,7 @@ def _within(scene: Path, error: float) -> Scene:
     import dataclasses
 
     from cellsys.accuracy import budget, by_step
-    from cellsys.accuracy.budget import STEPS
+    from cellsys.accuracy.starts import STEPS
     from cellsys.errors import ParameterError
     from cellsys.integrate import LinearlyImplicit
     from cellsys.scene import load_scene

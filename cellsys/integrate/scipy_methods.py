@@ -28,6 +28,7 @@ class _Method:
     cascade: int = 100
     first_step: float | None = field(default=None)
     finds_events: ClassVar[bool] = True
+    local: ClassVar[float] = 1.0  # share of the tolerances that one step may leave
     _solver: ClassVar[Any] = None
 
     def __post_init__(self) -> None:
@@ -55,8 +56,8 @@ class _Method:
                 t0,
                 x,
                 bound,
-                rtol=self.rtol,
-                atol=self.atol,
+                rtol=max(self.local * self.rtol, _LEAST),
+                atol=self.local * self.atol,
                 max_step=self.max_step,
                 first_step=first,
             )
@@ -106,8 +107,11 @@ class Radau(_Method):
 class LSODA(_Method):
     """Adams and BDF of variable order with automatic switching (ODEPACK).
 
-    Parameters are those of `DOP853`.
+    Parameters are those of `DOP853`, but a step may leave only a tenth (`local`) of the
+    tolerances: errors of multistep methods add up to more than a hundred times that.
     """
+
+    local: ClassVar[float] = 0.1
 
     _solver: ClassVar[Any] = integrate.LSODA
 

@@ -18,6 +18,8 @@ from cellsys.integrate.solution import Solution
 from cellsys.integrate.stepping import check_step
 from cellsys.system import OdeSystem
 
+_LEAST = 1e-15  # relative error of a step; below it SUNDIALS calls tolerances too small
+
 
 @dataclass(frozen=True, kw_only=True)
 class CVODES:
@@ -26,8 +28,10 @@ class CVODES:
     Parameters
     ----------
     rtol, atol : float
-        Local error per step is kept below rtol |x| + atol; the global error is typically 10 to
-        40 times larger, which `Trajectory.error` shows. There is no default.
+        What the global error is meant to stay near: rtol |x| + atol. The errors of BDF steps add
+        up to hundreds of what one step may leave, so each is held to a hundredth of this
+        (`local`), as few as half the steps more; `Trajectory.error` shows what came of it.
+        There is no default.
     max_steps : int
         Most steps between two samples.
     """
@@ -37,6 +41,7 @@ class CVODES:
     max_steps: int = 100_000
 
     plugin: ClassVar[str] = "cvodes"
+    local: ClassVar[float] = 0.01  # share of the tolerances that one step may leave
 
     def __post_init__(self) -> None:
         _check_tolerances(self)
@@ -49,7 +54,7 @@ class CVODES:
 
     def options(self, span: float) -> dict[str, Any]:
         """CasADi's options for a piece of `span` seconds."""
-        return {"reltol": self.rtol, "abstol": self.atol, "max_num_steps": self.max_steps}
+        return _controls(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +70,7 @@ class IDAS:
     max_steps: int = 100_000
 
     plugin: ClassVar[str] = "idas"
+    local: ClassVar[float] = 0.01
 
     def __post_init__(self) -> None:
         _check_tolerances(self)
@@ -77,7 +83,7 @@ class IDAS:
 
     def options(self, span: float) -> dict[str, Any]:
         """CasADi's options for a piece of `span` seconds."""
-        return {"reltol": self.rtol, "abstol": self.atol, "max_num_steps": self.max_steps}
+        return _controls(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,11 +158,21 @@ class RungeKutta4:
         return {"number_of_finite_elements": _pieces(span, self.step)}
 
 
+def _controls(method: Any) -> dict[str, Any]:
+    rtol = max(method.local * method.rtol, _LEAST)
+    return {"reltol": rtol, "abstol": method.local * method.atol, "max_num_steps": method.max_steps}
+
+
 def _check_tolerances(method: Any) -> None:
     for name in ("rtol", "atol", "max_steps"):
         value = getattr(method, name)
         if not (np.isfinite(value) and value > 0):
             raise ParameterError(f"{type(method).__name__}.{name} must be > 0, got {value!r}")
+    if method.rtol < 10 * _LEAST:
+        raise ParameterError(
+            f"{type(method).__name__}.rtol must be >= {10 * _LEAST:g}, fifty roundings, got "
+            f"{method.rtol!r}"
+        )
 
 
 def _pieces(span: float, step: float) -> int:
