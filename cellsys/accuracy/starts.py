@@ -116,10 +116,10 @@ def full_order_setups(problem: CostProblem) -> list[Setup]:
 def full_order_references(problem: CostProblem, error: float) -> tuple[Setup, Setup]:
     """Two methods, each tighter than what is swept for an `error`; the first is the truth.
 
-    Explicit Euler at its largest stable step is off by 3e-4 of the motion of a spreading cell,
-    and in proportion at smaller ones; it takes starts on which contact opens and closes, where
-    the steps of RKC fall with the tolerance. RKC confirms it; below an error of `EULER` the two
-    are RKC and DOP853. Systems that change between steps leave no other choice than two
+    Explicit Euler is off by 6 % of the motion of a spreading cell for every second of its step
+    (measured at 6 and 22 ms on two discs); it takes starts on which contact opens and closes,
+    where the steps of RKC fall with the tolerance. RKC confirms it; below an error of `EULER`
+    the two are RKC and DOP853. Systems that change between steps leave no other choice than two
     first-order methods.
     """
     if problem.system.events():
@@ -130,6 +130,6 @@ def full_order_references(problem: CostProblem, error: float) -> tuple[Setup, Se
     if error < EULER:
         tight = by_tolerance(RKC, [1e-8], {"max_steps": 10 * MOST})
         return tight, by_tolerance(DOP853, [1e-8], {"max_steps": 100 * MOST})
-    euler = by_step(ExplicitEuler, [limit * min(1.0, 100.0 * error)])
+    euler = by_step(ExplicitEuler, [min(limit, 0.5 * error)])
     tolerance = min(3e-4 * error, 1e-5)
     return euler, by_tolerance(RKC, [tolerance], {"max_steps": 10 * MOST})
