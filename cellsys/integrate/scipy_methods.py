@@ -29,6 +29,7 @@ class _Method:
     first_step: float | None = field(default=None)
     finds_events: ClassVar[bool] = True
     local: ClassVar[float] = 1.0  # share of the tolerances that one step may leave
+    untold: ClassVar[tuple[str, ...]] = ()  # counts that the program behind keeps to itself
     _solver: ClassVar[Any] = None
 
     def __post_init__(self) -> None:
@@ -62,7 +63,7 @@ class _Method:
                 first_step=first,
             )
 
-        return solve_hybrid(
+        solution = solve_hybrid(
             system,
             t,
             x0,
@@ -72,6 +73,8 @@ class _Method:
             cascade=self.cascade,
             averages=averages,
         )
+        solution.statistics.update(dict.fromkeys(self.untold))
+        return solution
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +103,7 @@ class Radau(_Method):
     Parameters are those of `DOP853`.
     """
 
+    untold: ClassVar[tuple[str, ...]] = ("rejected",)
     _solver: ClassVar[Any] = integrate.Radau
 
 
@@ -112,6 +116,7 @@ class LSODA(_Method):
     """
 
     local: ClassVar[float] = 0.1
+    untold: ClassVar[tuple[str, ...]] = ("jacobians", "factorisations", "rejected")
 
     _solver: ClassVar[Any] = integrate.LSODA
 

@@ -16,7 +16,6 @@ from cellsys.errors import (
 )
 from cellsys.integrate import (
     CVODES,
-    RKC,
     ExplicitEuler,
     LinearlyImplicit,
     RungeKutta4,
@@ -360,15 +359,3 @@ def test_a_run_with_a_sink_is_the_run_without(tmp_path):
     two = simulate(Springs(), LinearlyImplicit(step=0.1), t)
     assert np.array_equal(one.x, two.x)
     assert np.array_equal(one.eta, two.eta)
-
-
-def test_rkc_gives_up_where_the_right_hand_side_jumps():
-    """x' = -sign(x) slides along 0: steps fall with the tolerance, and a bound says so."""
-    system = scalar(lambda t, x: [-np.sign(x[0])], x0=[0.5])
-    loose = simulate(system, RKC(rtol=1e-3, atol=1e-3, max_steps=10_000), np.array([0.0, 1.0]))
-    assert abs(loose.x[-1, 0]) < 0.01
-    with pytest.raises(IntegrationError, match="200 steps") as caught:
-        simulate(system, RKC(rtol=1e-7, atol=1e-7, max_steps=200), np.array([0.0, 1.0]))
-    assert 0.4 < caught.value.time < 0.6
-    with pytest.raises(ParameterError, match="max_steps"):
-        RKC(rtol=1e-3, atol=1e-3, max_steps=0)
