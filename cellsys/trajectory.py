@@ -101,7 +101,8 @@ class Trajectory(Drawable):
     events : tuple of Event
         Discrete happenings, in order of time.
     statistics : mapping
-        Counts and times of the integrator.
+        Counts (rhs, jacobians, factorisations, steps, rejected; None where the program behind an
+        integrator does not tell) and times of the integrator, s.
     geometry : mapping of str to array
         Constant places of the system, such as ``matrix.rest`` (N, 3) um.
     estimator : callable, optional

@@ -381,3 +381,31 @@ def test_interrupt_says_how_to_go_on(tmp_path):
     assert out == ""
     assert all(p.suffix == ".partial" for p in runs.iterdir())
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["runs"]
+
+
+@pytest.mark.slow
+def test_cost_of_a_disc_and_of_a_chain(call, tmp_path):
+    """Table, figure, files and the cheapest setting, on both kinds of scene."""
+    (tmp_path / "s.toml").write_text(TINY)
+    chain = (Path(cellsys.__file__).parents[1] / "examples" / "crawler.toml").read_text()
+    (tmp_path / "c.toml").write_text(chain.replace('"12 s"', '"1 s"'))
+    for name, method in (("s", "LinearlyImplicit"), ("c", "LSODA")):
+        code, out, err = call(
+            "cost", f"{name}.toml", "--probe", 1, "--error", 0.1, "-o", "out", "--json"
+        )
+        assert code == 0, err
+        found = json.loads(out)
+        assert method in {p["setup"] for p in found["points"]}
+        assert found["integrator"]
+        assert found["held_out"] <= 0.1
+    assert {p.suffix for p in (tmp_path / "out").iterdir()} == {".csv", ".json", ".png"}
+    refused(call("run", "c.toml", "--error", 0.01), "chain", code=2)
+
+
+@pytest.mark.slow
+def test_run_within_an_error_takes_the_step_that_meets_it(call, tmp_path):
+    (tmp_path / "s.toml").write_text(TINY)
+    code, out, err = call("run", "s.toml", "--order", 4, "--workers", 1, "--error", 0.2)
+    assert code == 0, err
+    assert "LinearlyImplicit(step=" in err
+    assert "report:" in out

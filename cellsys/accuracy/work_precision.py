@@ -26,6 +26,8 @@ from cellsys.drawable import Drawable
 from cellsys.errors import CellsysError, DataError, ParameterError
 from cellsys.store.atomic import write_json, write_text
 
+SLOW = 2.0  # s of a solve that other work on the machine no longer changes much
+
 
 @dataclass(frozen=True)
 class WorkPoint:
@@ -154,7 +156,7 @@ def work_precision(
     error : str
         One of `cellsys.accuracy.MEASURES`.
     repeats : int
-        Solves behind a time; the fastest counts.
+        Solves behind a time; the fastest counts. One is enough above `SLOW` seconds.
     agree : float, optional
         Largest disagreement of the two references in the measure; default 1e-6.
 
@@ -205,6 +207,8 @@ def _point(
                 began = clock.perf_counter()
                 setup.solve(problem, setting)
                 times.append(clock.perf_counter() - began)
+                if times[-1] > SLOW:
+                    break
     except (CellsysError, RuntimeError, ArithmeticError) as failure:
         reason = f"{type(failure).__name__}: {' '.join(str(failure).split())}"
         return WorkPoint(setup.name, setting, nan, nan, setup.own, reason)

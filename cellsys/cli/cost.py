@@ -21,15 +21,16 @@ def cost(
     as_json: Json = False,
 ) -> None:
     """Error and time of every full-order method on a scene, and the cheapest that will do."""
-    import numpy as np
-
     from cellsys.accuracy import budget
+    from cellsys.accuracy.starts import probe_times
+    from cellsys.errors import DataError
     from cellsys.scene import load_scene
 
     plan = load_scene(scene)
-    end = min(probe, plan.duration)
-    t = np.linspace(0.0, end, 1 + max(2, round(end / min(plan.sample, 2.0))))
+    t = probe_times(plan, probe)
     found = budget(plan, error=error, t=t)
+    if not found.sweeps:
+        raise DataError(str(found))
     sweep = found.sweeps[0]
     if out is not None:
         from cellsys.figures.sheet import save_png
@@ -50,7 +51,7 @@ def cost(
         )
         return
     print_table(
-        f"{sweep.problem}: share of the motion missed in {end:g} s",
+        f"{sweep.problem}: share of the motion missed in {t[-1]:g} s",
         ["method", "setting", "error", "time or reason", ""],
         sweep.table(),
     )

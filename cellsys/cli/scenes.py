@@ -58,12 +58,17 @@ def _within(scene: Path, error: float) -> Scene:
     import dataclasses
 
     from cellsys.accuracy import budget, by_step
-    from cellsys.accuracy.budget import STEPS
+    from cellsys.accuracy.starts import STEPS
     from cellsys.errors import ParameterError
     from cellsys.integrate import LinearlyImplicit
     from cellsys.scene import load_scene
 
     plan = load_scene(scene)
+    if plan.matrix.kind == "chain":
+        raise ParameterError(
+            "a scene on a chain is run by LSODA at a tolerance of 1e-10, far below any --error; "
+            "leave it out (`cellsys cost` shows what a looser one would save)"
+        )
     found = budget(plan, error=error, setups=[by_step(LinearlyImplicit, STEPS)])
     if not found:
         raise ParameterError(str(found))

@@ -140,7 +140,7 @@ class Exponential:
 
 def _nodes(tolerance: float) -> int:
     """Nodes of a window: more of them pay when the tolerance is tight."""
-    for bound, nodes in ((3e-3, 8), (3e-5, 12), (3e-6, 16)):
+    for bound, nodes in ((3e-3, 8), (3e-5, 12), (3e-7, 16)):
         if tolerance > bound:
             return nodes
-    return 24
+    return 20

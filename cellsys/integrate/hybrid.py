@@ -84,7 +84,8 @@ class _Run:
         self.armed = [0.0] * len(self.guards)  # sign on which each guard was last seen
         self.last = [-np.inf] * len(self.guards)
         self.turned = -1  # the guard whose reset turned it back last
-        self.counts = {"steps": 0, "rhs": 0, "factorisations": 0, "events": 0, "instant": 0}
+        names = ("steps", "rejected", "rhs", "jacobians", "factorisations", "events", "instant")
+        self.counts = dict.fromkeys(names, 0)
         self.shortest = np.inf
         self.forced = type(system).u is not OdeSystem.u or system.forcing is not None
 
@@ -115,8 +116,12 @@ class _Run:
 
         solver = self.start(left, self.now, self.state, stop)
         while solver.status == "running":
+            calls = solver.nfev
             message = solver.step()
             self.counts["steps"] += 1
+            # An attempt of a Runge-Kutta step calls the right-hand side once a stage.
+            attempts = (solver.nfev - calls) // getattr(solver, "n_stages", solver.nfev + 1)
+            self.counts["rejected"] += max(attempts - 1, 0)
             if solver.status == "failed":
                 self._fail(f"{self.name} failed: {message}", solver)
             if not np.isfinite(solver.y.sum()):
@@ -151,6 +156,7 @@ class _Run:
 
     def _count(self, solver: Any) -> None:
         self.counts["rhs"] += int(solver.nfev)
+        self.counts["jacobians"] += int(solver.njev)
         self.counts["factorisations"] += int(solver.nlu)
 
     def _first_root(self, dense: Any, a: float, b: float) -> tuple[float, int] | None:

@@ -148,6 +148,7 @@ class _ImplicitStepper(Stepper):
             kept = self.factors.get(block.name)
             if kept is None or kept.key != block.key or kept.dt != dt:
                 self.factors[block.name] = self._factorise(block, dt)
+                self.statistics["jacobians"] += 1
                 self.statistics["factorisations"] += 1
         self.since_look = 0
 

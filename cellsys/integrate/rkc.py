@@ -33,6 +33,9 @@ class RKC:
         Bound on the step, s. Systems that change between steps (binding, rupture) need one.
     largest_stages : int
         Most stages of a step; a step that would need more is shortened.
+    max_steps : int
+        Most steps, rejected ones too, between two samples; then an `IntegrationError`. Where
+        the right-hand side jumps (contact that opens and closes) steps fall with the tolerance.
 
     Notes
     -----
@@ -45,6 +48,7 @@ class RKC:
     atol: float
     largest_step: float = np.inf
     largest_stages: int = 200
+    max_steps: int = 100_000
 
     def __post_init__(self) -> None:
         for name in ("rtol", "atol", "largest_step"):
@@ -53,6 +57,8 @@ class RKC:
                 raise ParameterError(f"RKC.{name} must be > 0, got {value!r}")
         if self.largest_stages < 3:
             raise ParameterError(f"RKC.largest_stages must be >= 3, got {self.largest_stages!r}")
+        if not self.max_steps >= 1:
+            raise ParameterError(f"RKC.max_steps must be >= 1, got {self.max_steps!r}")
 
     def start(
         self, system: OdeSystem, t0: float, x0: np.ndarray, rng: np.random.Generator
@@ -96,7 +102,7 @@ class _ChebyshevStepper(Stepper):
         super().__init__(system, t0, x0, rng, 0.0)
         self.method, self.h = method, 0.0
         self.vector = rng.spawn(1)[0].standard_normal(x0.size)
-        self.radius, self.age = 0.0, _RENEW
+        self.radius, self.age, self.left = 0.0, _RENEW, method.max_steps
         self.rate: np.ndarray | None = None
         self.held: tuple[np.ndarray, np.ndarray] | None = None
         self.statistics["largest_stages"] = 0
@@ -137,6 +143,7 @@ class _ChebyshevStepper(Stepper):
 
     def advance(self, t1: float) -> tuple[np.ndarray, np.ndarray]:
         t0, system = self.t, self.system
+        self.left = self.method.max_steps
         eta_sum = np.zeros(system.auxiliaries.size)
         u_sum = np.zeros(system.states.size)
         stops = self.stops[(self.stops > t0) & (self.stops < t1)]
@@ -178,6 +185,12 @@ class _ChebyshevStepper(Stepper):
             if s > method.largest_stages:
                 h = ((method.largest_stages - 1) ** 2 - 1.0) / (1.54 * self.radius)
                 continue
+            self.left -= 1
+            if self.left < 0:
+                self.fail(
+                    t, length, f"RKC: {method.max_steps} steps since the last sample; the "
+                    "right-hand side jumps or is not stiff on the real axis, use LinearlyImplicit"
+                )  # fmt: skip
             new = self._stages(t, length, x, f, s)
             # At a stop point the last evaluation takes the limit from the left.
             end = t + length if length < left else float(np.nextafter(stop, t))

@@ -58,7 +58,8 @@ class Stepper:
         self.stops = np.unique(np.asarray(system.stop_points(), dtype=float))
         self.averages = True
         self.events: list[Event] = []
-        self.statistics = {"steps": 0, "rhs": 0, "factorisations": 0, "solves": 0, "rejected": 0}
+        names = ("steps", "rejected", "rhs", "jacobians", "factorisations", "solves")
+        self.statistics = dict.fromkeys(names, 0)
 
     def memory(self) -> dict[str, np.ndarray]:
         """Arrays that the next interval depends on, apart from t and x."""

@@ -19,6 +19,8 @@ from cellsys.integrate.stepping import check_step, steps_of
 from cellsys.system import OdeSystem
 from cellsys.units import real_number
 
+_LEAST = 1e-15  # relative error of a step; below it SUNDIALS calls tolerances too small
+
 
 @dataclass(frozen=True, kw_only=True)
 class CVODES:
@@ -27,8 +29,10 @@ class CVODES:
     Parameters
     ----------
     rtol, atol : float
-        Local error per step is kept below rtol |x| + atol; the global error is typically 10 to
-        40 times larger, which `Trajectory.error` shows. There is no default.
+        What the global error is meant to stay near: rtol |x| + atol. The errors of BDF steps add
+        up to hundreds of what one step may leave, so each is held to a hundredth of this
+        (`local`), as few as half the steps more; `Trajectory.error` shows what came of it.
+        There is no default.
     max_steps : int
         Most steps between two samples.
     """
@@ -38,6 +42,7 @@ class CVODES:
     max_steps: int = 100_000
 
     plugin: ClassVar[str] = "cvodes"
+    local: ClassVar[float] = 0.01  # share of the tolerances that one step may leave
 
     def __post_init__(self) -> None:
         _check_tolerances(self)
@@ -50,7 +55,7 @@ class CVODES:
 
     def options(self, span: float) -> dict[str, Any]:
         """CasADi's options for a piece of `span` seconds."""
-        return {"reltol": self.rtol, "abstol": self.atol, "max_num_steps": self.max_steps}
+        return _controls(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +71,7 @@ class IDAS:
     max_steps: int = 100_000
 
     plugin: ClassVar[str] = "idas"
+    local: ClassVar[float] = 0.01
 
     def __post_init__(self) -> None:
         _check_tolerances(self)
@@ -78,7 +84,7 @@ class IDAS:
 
     def options(self, span: float) -> dict[str, Any]:
         """CasADi's options for a piece of `span` seconds."""
-        return {"reltol": self.rtol, "abstol": self.atol, "max_num_steps": self.max_steps}
+        return _controls(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,11 +159,21 @@ class RungeKutta4:
         return {"number_of_finite_elements": _pieces(span, self.step)}
 
 
+def _controls(method: Any) -> dict[str, Any]:
+    rtol = max(method.local * method.rtol, _LEAST)
+    return {"reltol": rtol, "abstol": method.local * method.atol, "max_num_steps": method.max_steps}
+
+
 def _check_tolerances(method: Any) -> None:
     for name in ("rtol", "atol", "max_steps"):
         value = getattr(method, name)
         if not real_number(value, f"{type(method).__name__}.{name}") > 0:
             raise ParameterError(f"{type(method).__name__}.{name} must be > 0, got {value!r}")
+    if method.rtol < 10 * _LEAST:
+        raise ParameterError(
+            f"{type(method).__name__}.rtol must be >= {10 * _LEAST:g}, fifty roundings, got "
+            f"{method.rtol!r}"
+        )
 
 
 def _pieces(span: float, step: float) -> int:
@@ -181,7 +197,9 @@ def solve_symbolic(
     x = np.empty((T, n))
     x[0] = state = x0
     running = np.zeros((T, n_eta + n))
-    counts = {"steps": 0, "rhs": 0, "factorisations": 0, "rejected": 0}
+    counts: dict[str, Any] = dict.fromkeys(
+        ("steps", "rejected", "rhs", "jacobians", "factorisations"), 0
+    )
     built = 0.0
     for edges, inside in pieces(t, np.asarray(system.stop_points(), dtype=float)):
         state = x[inside[0]] if edges[0] == t[inside[0]] else state
@@ -282,17 +300,25 @@ def _call(
     return x, np.asarray(out["qf"], dtype=float).T
 
 
-def _count(counts: dict[str, int], F: Any, method: Any, times: np.ndarray) -> None:
+def _count(counts: dict[str, Any], F: Any, method: Any, times: np.ndarray) -> None:
     found = F.stats()
     if "nsteps" in found:
         counts["steps"] += int(found["nsteps"])
         counts["rhs"] += int(found.get("nfevals", 0))
+        # Every linear set-up evaluates the Jacobian and factorises it.
+        counts["jacobians"] += int(found.get("nlinsetups", 0))
         counts["factorisations"] += int(found.get("nlinsetups", 0))
         counts["rejected"] += int(found.get("netfails", 0))
         return
     span = float(times[-1] - times[0])
     h = span / method.options(span)["number_of_finite_elements"]
-    counts["steps"] += int(np.ceil(np.diff(times) / h * (1 - 1e-12)).sum())
+    steps = int(np.ceil(np.diff(times) / h * (1 - 1e-12)).sum())
+    counts["steps"] += steps
+    if method.plugin == "rk":
+        counts["rhs"] += 4 * steps
+    else:
+        # How often Newton's method of a collocation step calls them CasADi does not tell.
+        counts.update(rhs=None, jacobians=None, factorisations=None)
 
 
 def _last_line(error: RuntimeError) -> str:

@@ -24,6 +24,9 @@ from cellsys.integrate.semilinear import NODES, DenseFlow, ModalFlow, Semilinear
 
 LARGEST = 1e120  # of a state, beyond which a run is reported as unstable
 KEPT = 128  # tables kept with a system
+HELD = 3  # windows after a rejected one that do not grow
+ROOM = 0.2  # error that a longer window may be foreseen to have, in units of the tolerance
+FLOOR = 0.05  # coefficients below this are what the iteration left over
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +35,7 @@ class Grid:
 
     nodes: np.ndarray  # (s,), 0 and 1 among them
     integral: np.ndarray  # (s, s): integrals of the Lagrange polynomials from 0 to each node
-    tail: np.ndarray  # (2, s): the two highest Chebyshev coefficients
-    coefficients: np.ndarray  # (s, s): all of them
+    coefficients: np.ndarray  # (s, s): Chebyshev coefficients
 
 
 @lru_cache(maxsize=32)
@@ -48,7 +50,7 @@ def grid(s: int) -> Grid:
     for i, c in enumerate(nodes):
         at = np.polynomial.chebyshev.chebvander(c * (x + 1) - 1, s - 1)
         integral[i] = 0.5 * c * (w @ (at @ coefficients))
-    return Grid(nodes, integral, coefficients[-2:], coefficients)
+    return Grid(nodes, integral, coefficients)
 
 
 @lru_cache(maxsize=64)
@@ -82,6 +84,22 @@ def convolution(s: int, levels: int) -> np.ndarray:
             part = (0.5 * (end - a) * w)[:, None, None] * chi[:, :, None] * ell[:, None, :]
             out[k * NODES : (k + 1) * NODES, i] = part.sum(axis=0)
     return out
+
+
+def foreseen(size: np.ndarray, factor: float) -> float:
+    """Error of a window `factor` times as long, by the decay of the coefficients of this one.
+
+    Coefficients of a function fall as e^{-a k}, where sinh(a) is the distance of its nearest
+    singularity over half the window [Trefethen, Approximation Theory and Approximation Practice,
+    ch. 8]; on a window twice as long that ratio is half.
+    """
+    s, falling = len(size), np.maximum.accumulate(size[::-1])[::-1]
+    last = int(np.flatnonzero(falling > FLOOR).max(initial=0))
+    if last == 0:
+        return 0.0
+    bottom = max(float(falling[min(last + 1, s - 1)]), FLOOR)
+    a = min(np.log(max(float(falling[1]) / bottom, 1.0)) / max(last, 1), 30.0)
+    return float(falling[1] * np.exp(-(s - 2) * np.arcsinh(np.sinh(a) / factor)) / s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,8 +191,11 @@ class WindowSolver:
 
     def window(
         self, h: float, w: np.ndarray, y: np.ndarray, guess: np.ndarray, path: Path
-    ) -> tuple[np.ndarray, np.ndarray, float] | None:
-        """(y at the nodes, w at the end, error in units of the tolerance); None: not converged."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """y at the nodes, w at the end, Chebyshev coefficients (s,); None: not converged.
+
+        The coefficients are the largest of h y' and of c, in units of the tolerance.
+        """
         table, system, g = self.table(h), self.system, self.grid
         if table is None:
             return None
@@ -209,16 +230,16 @@ class WindowSolver:
         else:
             return None
         C = system.commands(Y)
-        tail = max(
-            h * float(np.abs(g.tail @ F).max()) / scale,
-            float(np.abs(g.tail @ C).max()) / (self.rtol + self.atol),
+        size = np.maximum(
+            h * np.abs(g.coefficients @ F).max(axis=(0, 2)) / scale,
+            np.abs(g.coefficients @ C).max(axis=(0, 2)) / (self.rtol + self.atol),
         )
         M = table.end.shape[0]
         pushed = (
             table.end[:, -1].sum(axis=-1)
             + C.transpose(0, 2, 1).reshape(cells, -1) @ table.end[:, :-1].reshape(M, -1).T
         )
-        return Y, self.flow.apply(table.E, w) + pushed, tail / s
+        return Y, self.flow.apply(table.E, w) + pushed, size
 
     def run(self, t0: float, t_end: float, unit: float, w: np.ndarray, y: np.ndarray) -> Path:
         """Windows from t0 to t_end; lengths are unit times powers of two, aligned with t0.
@@ -232,17 +253,19 @@ class WindowSolver:
         while t < t_end:
             length = t_end - t if t_end - t < h * (1 + 1e-9) else h
             found = self.window(length, path.w[-1], y, self._extend(last, length, y), path)
-            if found is None or found[2] > 1.0:
+            if found is None or found[2][-2:].max() > self.s:
                 path.counts["rejected"] += 1
-                held = 8
-                while h >= length * (1 - 1e-9):
+                held = HELD
+                short = [f for f in (0.5, 0.25) if found and foreseen(found[2], f) < 1.0]
+                allowed = length * (short[0] if short else 0.25 if found else 0.5)
+                while h > allowed * (1 + 1e-9):
                     h = 0.5 * h
                 if not float(np.abs(path.w[-1]).max(initial=0.0)) < LARGEST:
                     self._fail("the state is not finite; the linear part is unstable", path, t, h)
                 if h < 1e-12 * max(abs(t), abs(t_end)) or h < 2.0**-60 * unit:
                     self._fail("the windows shrink to nothing; the law is not smooth", path, t, h)
                 continue
-            Y, w_end, error = found
+            Y, w_end, size = found
             if not (np.isfinite(w_end.sum()) and np.isfinite(Y.sum())):
                 self._fail("the state is not finite; the linear part is unstable", path, t, length)
             path.counts["steps"] += 1
@@ -252,11 +275,14 @@ class WindowSolver:
             path.y.append(Y)
             path.w.append(w_end)
             y, last, held = Y[:, -1].copy(), (Y, length), max(held - 1, 0)
-            # The error falls as h^s: doubling is safe below 2^-s. A longer window starts at a
-            # multiple of its length, so that the samples stay aligned.
-            turns = (t - t0) / (2.0 * h)
-            if error < 2.0 ** -(self.s - 2) and not held and abs(turns - round(turns)) < 1e-6:
-                h = 2.0 * h
+            # A longer window starts at a multiple of its length: the samples stay aligned.
+            for factor in (4.0, 2.0):
+                turns = (t - t0) / (factor * h)
+                if held or abs(turns - round(turns)) > 1e-6:
+                    continue
+                if foreseen(size, factor) < ROOM:
+                    h = factor * h
+                    break
         path.counts["factorisations"] = self.made
         return path
 

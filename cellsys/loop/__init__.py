@@ -4,6 +4,7 @@ from cellsys.loop.closed_loop import ClosedLoop, Linearisation, closed_loop
 from cellsys.loop.input_map import MPol
 from cellsys.loop.loop_system import loop_copies, parametric_loop
 from cellsys.loop.polarity import Perturb, PolarityLaw, Stay
+from cellsys.loop.scheduled import ScheduledLoop
 from cellsys.reduction.sensor import StiffnessSensor
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "MPol",
     "Perturb",
     "PolarityLaw",
+    "ScheduledLoop",
     "Stay",
     "StiffnessSensor",
     "closed_loop",

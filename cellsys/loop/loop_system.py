@@ -14,7 +14,7 @@ from cellsys.integrate.sensitivities import ParametricSystem
 from cellsys.laws.arrays import operations
 from cellsys.laws.polarity import heading_rows, rate_rows
 from cellsys.laws.polarity import rate as polarity_rate
-from cellsys.system import Block, Layout, OdeSystem
+from cellsys.system import Block, Layout, OdeSystem, SymbolicForm
 
 _NAMES = ("cos", "sin", "cos2", "sin2", "amplitude")
 
@@ -108,6 +108,23 @@ class LoopCopies(OdeSystem):
         out = self.u(t, x)
         out[:size] += (x[:size].reshape(self.cells, -1) @ self.loop.semilinear.A.T).ravel()
         return out
+
+    def casadi(self) -> SymbolicForm:
+        """CasADi form of all cells, one after the other."""
+        kept = self.__dict__.get("_symbolic_form")
+        if kept is None:
+            import casadi as ca
+
+            one, m, K = self.loop.system.casadi(), self.loop.order, self.cells
+            rate = ca.Function("rate", [one.t, one.x], [one.xdot])
+            t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
+            each = [
+                rate(t, ca.vertcat(x[k * m : (k + 1) * m], x[K * m + 3 * k : K * m + 3 * k + 3]))
+                for k in range(K)
+            ]
+            xdot = ca.vcat([*(r[:m] for r in each), *(r[m:] for r in each)])
+            kept = self.__dict__["_symbolic_form"] = SymbolicForm(t, x, xdot, ca.SX.zeros(0, 1))
+        return kept
 
     def observe(self, t: float, x: np.ndarray) -> dict[str, np.ndarray]:
         return {k: v[0] for k, v in self.observe_rows(np.array([t]), x[None]).items()}

@@ -1,5 +1,6 @@
 """`Exponential`: exactness, order, error estimate, every kind of sampling."""
 
+import casadi as ca
 import numpy as np
 import pytest
 import scipy.linalg as sla
@@ -238,9 +239,27 @@ def test_ten_cells_are_ten_loops():
         np.testing.assert_allclose(z[:, k], one.x[:, :8], atol=1e-7)
         np.testing.assert_allclose(p[:, k], one.x[:, 8:], atol=1e-7)
     np.testing.assert_allclose(run.d[:, 4], one_d(loop, z[:, 4]), atol=1e-12)
+    form = system.casadi()
+    symbolic = ca.Function("rate", [form.t, form.x], [form.xdot])(0.0, system.x0)
+    np.testing.assert_allclose(symbolic.full()[:, 0], system.rhs(0.0, system.x0), atol=1e-12)
     np.testing.assert_allclose(
         system.rhs(0.0, system.x0), system.W_x @ system.x0 + system.u(0.0, system.x0), atol=1e-12
     )
+
+
+@pytest.mark.parametrize("m", [5, 150])
+def test_samples_do_not_depend_on_how_they_are_asked_for(m):
+    """Every second: blocks of samples. A few of them, or none on the grid: one by one."""
+    loop = make(6, m=m, gain=0.2)
+    t = np.arange(0.0, 301.0)
+    every = loop.simulate(t, TIGHT).x
+    chosen = np.array([0, 1, 2, 7, 40, 41, 150, 299, 300])
+    some = loop.simulate(t[chosen], TIGHT).x
+    uneven = np.sort(np.concatenate([t[chosen], [0.3, 33.33, 151.7]]))
+    odd = loop.simulate(uneven, TIGHT).x[np.isin(uneven, t[chosen])]
+    size = np.abs(every).max()
+    np.testing.assert_allclose(some, every[chosen], atol=2e-8 * size)
+    np.testing.assert_allclose(odd, every[chosen], atol=2e-8 * size)
 
 
 def one_d(loop, z):

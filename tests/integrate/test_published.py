@@ -48,9 +48,7 @@ def measured(problem, method, rtol):
 @pytest.mark.parametrize("method", [CVODES, LSODA])
 def test_stiff_problems_at_their_published_ends(problem, method):
     error, ratio = measured(problem, method, 1e-6)
-    # The house's bound; a multistep code adds up its local errors to about this.
-    bound = 60 if (problem, method) == (OREGO, LSODA) else 50
-    assert error < bound
+    assert error < 50
     assert 1 / 20 < ratio < 20
 
 
@@ -94,12 +92,29 @@ def test_enright_pryce_gentle_classes(problem, method):
     assert 1 / 20 < ratio < 20
 
 
+@pytest.mark.parametrize("problem", GENTLE, ids=lambda p: p.name)
+@pytest.mark.parametrize("method", [CVODES, IDAS, LSODA])
+def test_multistep_codes_on_gentle_classes(problem, method):
+    error, ratio = measured(problem, method, 1e-6)
+    assert error < 50
+    assert 1 / 20 < ratio < 20
+
+
 @pytest.mark.parametrize("problem", GENTLE[1:], ids=lambda p: p.name)
-def test_multistep_codes_on_orbits_say_how_far_they_are(problem):
-    """On orbits CVODES is hundreds of tolerances away; its estimate says so."""
+def test_steps_that_may_leave_the_tolerance_end_far_from_it(problem, monkeypatch):
+    """Naive: a local error of the tolerance adds up to hundreds of it on orbits."""
+    monkeypatch.setattr(CVODES, "local", 1.0)
     error, ratio = measured(problem, CVODES, 1e-6)
     assert error > 50
-    assert 1 / 2 < ratio < 2
+    assert 1 / 2 < ratio < 2  # the estimate says so
+
+
+@pytest.mark.parametrize("method", [CVODES, IDAS, LSODA])
+def test_van_der_pol_is_solved(method):
+    """eps = 1e-6: IDAS too finds its start and its way."""
+    error, ratio = measured(VDPOL, method, 1e-5)
+    assert error < 50
+    assert 1 / 20 < ratio < 20
 
 
 def test_a_local_error_is_no_estimate():

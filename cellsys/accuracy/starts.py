@@ -1,0 +1,135 @@
+"""Starts that a budget is found and tried on, and the methods and references for each target."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from cellsys.accuracy.setups import CostProblem, Setup, by_step, by_tolerance
+from cellsys.integrate import (
+    DOP853,
+    LSODA,
+    RKC,
+    ExplicitEuler,
+    LinearlyImplicit,
+    Radau,
+    stability_limit,
+)
+from cellsys.loop import ClosedLoop
+from cellsys.scene import Scene, build
+from cellsys.scene.chain import ChainScene
+
+TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+STEPS = (2.0, 1.0, 0.5, 0.25, 0.1)
+PROBE = 10.0  # s of a scene that are run to find its setting
+LONG = 100.0  # s of the held-out runs of a scene
+SCATTER = 2.0  # um that held-out starts lie beside the scene's place, along each axis
+KICK = 0.1  # um/s at the start of a crawler on a chain
+EULER = 0.002  # asked share of the motion down to which explicit Euler is a reference
+MOST = 500  # steps of RKC between two samples
+
+
+def loop_problems(
+    loop: ClosedLoop, count: int, t: np.ndarray | None, seed: int
+) -> list[CostProblem]:
+    """The loop from `count` headings drawn from a seed."""
+    times = np.arange(0.0, 1001.0) if t is None else np.asarray(t, dtype=float)
+    rng = np.random.default_rng(seed)
+    out = []
+    for k in range(count):
+        angle = rng.uniform(-np.pi, np.pi)
+        p0 = float(np.linalg.norm(loop.p0)) * np.array([np.cos(angle), np.sin(angle), 0.0])
+        out.append(
+            CostProblem(f"loop, start {k}", loop.system, times, np.concatenate([loop.z0, p0]))
+        )
+    return out
+
+
+def probe_times(scene: Scene, seconds: float) -> np.ndarray:
+    """0 .. `seconds`, at most the scene's duration, by its sample but at least every 2 s."""
+    end = min(seconds, scene.duration)
+    return np.linspace(0.0, end, 1 + max(2, round(end / min(scene.sample, 2.0))))
+
+
+def scene_problems(
+    scene: Scene, count: int, t: np.ndarray, seed: int, first: int = 0
+) -> list[CostProblem]:
+    """The scene from drawn headings, places and seeds, number `first` on; number 0 is its own.
+
+    On a disc every cell draws a heading and all of them together a shift of up to `SCATTER` um
+    along each axis (their distances stay). On a chain every crawler draws the velocities it
+    starts with.
+    """
+    rng = np.random.default_rng(seed)
+    out = []
+    for k in range(first + count):
+        drawn = scene
+        if k:
+            cells = _kicked(scene, rng) if _on_chain(scene) else _moved(scene, rng)
+            drawn = dataclasses.replace(scene, cells=cells, seed=scene.seed + k)
+        if k >= first:
+            name = f"{scene.name}, start {k}"
+            out.append(CostProblem(name, build(drawn), t, seed=drawn.seed))
+    return out
+
+
+def _on_chain(scene: Scene) -> bool:
+    return isinstance(scene.matrix, ChainScene)
+
+
+def _moved(scene: Scene, rng: np.random.Generator) -> tuple:
+    shift = rng.uniform(-SCATTER, SCATTER, 2)
+    return tuple(
+        dataclasses.replace(
+            c,
+            polarity=float(rng.uniform(-np.pi, np.pi)),
+            position=tuple(float(x) for x in np.asarray(c.position) + shift),
+        )
+        for c in scene.cells
+    )
+
+
+def _kicked(scene: Scene, rng: np.random.Generator) -> tuple:
+    return tuple(
+        dataclasses.replace(
+            c,
+            lead_velocity=c.lead_velocity + float(rng.uniform(-KICK, KICK)),
+            trail_velocity=c.trail_velocity + float(rng.uniform(-KICK, KICK)),
+        )
+        for c in scene.cells
+    )
+
+
+def full_order_setups(problem: CostProblem) -> list[Setup]:
+    """Every method for a full-order system but the references, loosest first."""
+    if problem.system.events():
+        tolerances = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+        return [by_tolerance(m, tolerances) for m in (LSODA, DOP853, Radau)]
+    out = [by_step(LinearlyImplicit, STEPS)]
+    if not getattr(problem.system, "discrete", False):
+        tolerances = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+        out.append(by_tolerance(RKC, tolerances, {"max_steps": MOST}))
+    return out
+
+
+def full_order_references(problem: CostProblem, error: float) -> tuple[Setup, Setup]:
+    """Two methods, each tighter than what is swept for an `error`; the first is the truth.
+
+    Explicit Euler is off by 6 % of the motion of a spreading cell for every second of its step
+    (measured at 6 and 22 ms on two discs); it takes starts on which contact opens and closes,
+    where the steps of RKC fall with the tolerance. RKC confirms it; below an error of `EULER`
+    the two are RKC and DOP853. Systems that change between steps leave no other choice than two
+    first-order methods.
+    """
+    if problem.system.events():
+        return by_tolerance(LSODA, [1e-11]), by_tolerance(DOP853, [1e-11])
+    limit = 0.9 * stability_limit(problem.system)
+    if getattr(problem.system, "discrete", False):
+        return by_step(ExplicitEuler, [limit]), by_step(LinearlyImplicit, [0.5 * STEPS[-1]])
+    if error < EULER:
+        tight = by_tolerance(RKC, [1e-8], {"max_steps": 10 * MOST})
+        return tight, by_tolerance(DOP853, [1e-8], {"max_steps": 100 * MOST})
+    euler = by_step(ExplicitEuler, [min(limit, 0.5 * error)])
+    tolerance = min(3e-4 * error, 1e-5)
+    return euler, by_tolerance(RKC, [tolerance], {"max_steps": 10 * MOST})
