@@ -86,6 +86,9 @@ def _verdict(model: LatentModel) -> str:
 def bode(
     model: ModelFile,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="PNG to write.")] = None,
+    at: Annotated[
+        str | None, typer.Option(help='Times of a scheduled model, s: "100,500,1500".')
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Bode plot and margins of the polarity loop on a model, at the end of a run.
@@ -98,6 +101,9 @@ def bode(
 
     loaded = _load(model)
     horizon = float(loaded.notes.get("horizon_s", 1500.0))
+    if at is not None:
+        _bode_along(loaded, at, horizon, out, as_json)
+        return
     point = (loop := closed_loop(loaded)).linearize(horizon, slower_than=1.0 / horizon)
     result = margins(loop.open_loop(point))
     if out is not None:
@@ -120,6 +126,48 @@ def bode(
         return
     print(f"{point}\n{result}")
     print(_verdict(loaded))
+
+
+def _bode_along(
+    model: LatentModel, at: str, horizon: float, out: Path | None, as_json: bool
+) -> None:
+    """Margins and Bode plot of a scheduled loop frozen at several times."""
+    from cellsys.errors import ParameterError
+    from cellsys.loop import closed_loop
+    from cellsys.reduction import EquivariantModel
+
+    if not isinstance(model, EquivariantModel):
+        raise ParameterError("--at is for a scheduled model; this one is the same at all times")
+    try:
+        times = [float(t) for t in at.split(",")]
+    except ValueError:
+        raise ParameterError(f"--at takes times in s such as 100,500,1500, got {at!r}") from None
+    found = closed_loop(model).margins_along(times, slower_than=1.0 / horizon)
+    if out is not None:
+        from cellsys.figures import bode_family, save_png, sheet
+
+        figure, axes = sheet((7.5, 6), 2, sharex=True)
+        bode_family(found, axes)
+        save_png(figure, out)
+    if as_json:
+        dump(
+            {
+                f"{t:g}": {
+                    "gain_margin": m.gain_margin,
+                    "phase_margin_deg": m.phase_margin,
+                    "delay_margin_s": m.delay_margin,
+                    "closed_loop_stable": m.closed_loop_stable,
+                }
+                for t, m in found.items()
+            }
+        )
+        return
+    for t, m in found.items():
+        print(
+            f"t = {t:6g} s: gain margin {m.gain_margin:.4g} on kappa, phase margin "
+            f"{m.phase_margin:.4g} deg, delay margin {m.delay_margin:.4g} s"
+        )
+    print(_verdict(model))
 
 
 @app.command()

@@ -17,7 +17,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
             "crawler_run",
             "error_against_amplitude",
         ],
-        "equivariant": ["equivariant_model", "forecast"],
+        "equivariant": ["bode_family", "equivariant_model", "forecast"],
         "hard": ["hard_sweep"],
         "loop": ["headings", "linearisation"],
         "norms": ["system_norm"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -62,3 +63,35 @@ def forecast(result: Any, ax: Any = None) -> Any:
     ax.legend(fontsize="small")
     ax.grid(alpha=0.3)
     return ax
+
+
+def bode_family(found: Mapping[float, Any], axes: Any = None) -> Any:
+    """Magnitude (dB) and phase (deg) of return ratios frozen at several times.
+
+    Parameters
+    ----------
+    found : mapping of float to Margins
+        From `ScheduledLoop.margins_along`; the first locus of each is drawn.
+    axes : pair of matplotlib Axes, optional
+
+    Returns
+    -------
+    pair of Axes
+    """
+    if axes is None:
+        _, axes = plt.subplots(2, 1, sharex=True, layout="constrained")
+    upper, lower = axes
+    for k, (t, margins) in enumerate(found.items()):
+        color = plt.get_cmap("viridis")(k / max(len(found) - 1, 1) * 0.9)
+        omega, value = margins.loci.omega, margins.loci.values[0]
+        shown = np.abs(value) > 0
+        omega, value = omega[shown], value[shown]
+        upper.semilogx(omega, 20 * np.log10(np.abs(value)), color=color, label=f"t = {t:g} s")
+        phase = np.rad2deg(np.unwrap(np.angle(value)))
+        lower.semilogx(omega, phase - 360 * np.round((phase[0] + 90) / 360), color=color)
+    upper.set(ylabel="|L| (dB)")
+    lower.set(ylabel="phase (deg)", xlabel="frequency (rad/s)")
+    upper.legend(fontsize="small")
+    for ax in axes:
+        ax.grid(alpha=0.3)
+    return axes

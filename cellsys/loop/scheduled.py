@@ -21,6 +21,7 @@ from cellsys.reduction.equivariant.forecast import watched
 from cellsys.reduction.equivariant.model import EquivariantModel
 from cellsys.reduction.local_sensor import LocalSensor
 from cellsys.reduction.sensor import StiffnessSensor
+from cellsys.response import Margins, margins
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 
@@ -143,6 +144,20 @@ class ScheduledLoop:
         """Return ratio at a `Linearisation` or a time; see `ClosedLoop.open_loop`."""
         point = self.linearize(at) if at is None or isinstance(at, (int, float)) else at
         return self.frozen(self.model.horizon).open_loop(point)
+
+    def margins_along(
+        self, times: np.ndarray, *, slower_than: float = 0.0
+    ) -> dict[float, Margins]:
+        """Margins of the return ratio with the plant frozen at each of the times (s).
+
+        The frozen-time family: what the Bode plot of the loop is early, later, and at the end. A
+        loop whose plant varies in time is not proven stable by stable members.
+        """
+        found = {}
+        for t in np.atleast_1d(np.asarray(times, dtype=float)):
+            point = self.linearize(float(t), slower_than=slower_than)
+            found[float(t)] = margins(self.frozen(float(t)).open_loop(point))
+        return found
 
     def frozen(self, t: float, z: np.ndarray | None = None) -> Any:
         """`ClosedLoop` on the plant frozen at t, which any integrator can run.

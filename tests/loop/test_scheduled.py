@@ -83,3 +83,18 @@ def test_leaving_the_trained_range_is_an_event_of_the_run():
     assert any("time since contact" in e.detail and e.time > 150.0 for e in late.events)
     assert late.model_error["cells, held out"] == m.card.held_out["cells"]["model"]
     assert "model's error" in str(late)
+
+
+def test_frozen_time_family():
+    """Members are the loops frozen at their times; the schedule makes them differ."""
+    found = loop().margins_along([20.0, 100.0], slower_than=1 / 150)
+    assert list(found) == [20.0, 100.0]
+    for t, one in found.items():
+        point = loop().linearize(t, slower_than=1 / 150)
+        own = cs.margins(loop().frozen(t).open_loop(point))
+        assert own.phase_margin == pytest.approx(one.phase_margin, rel=1e-9)
+    assert found[20.0].phase_margin != pytest.approx(found[100.0].phase_margin, rel=1e-6)
+    from cellsys.figures import bode_family
+
+    upper, lower = bode_family(found)
+    assert len(upper.lines) == len(lower.lines) == 2
