@@ -119,7 +119,7 @@ class Exponential:
         def estimate() -> np.ndarray:
             error = np.zeros(n)
             if T > 1:
-                finer = WindowSolver(system, flow, s + 4, rtol, atol)
+                finer = WindowSolver(system, flow, s + 4, 0.1 * rtol, 0.1 * atol)
                 error[system.slow], error[system.fast] = solver.again(path, finer)
             return error
 

@@ -293,7 +293,7 @@ class WindowSolver:
         the first one, as far as the second is better.
         """
         counted = Path()
-        up, down = between(self.s, finer.s), between(finer.s, self.s)
+        up = between(self.s, finer.s)
         w, y = path.w[0], path.y[0][:, 0] if path.y else None
         worst_y, worst_w = None, []
         for k, Y in enumerate(path.y):
@@ -301,13 +301,32 @@ class WindowSolver:
             if found is None:
                 shape = (path.w[0].shape[0], self.system.A.shape[0])
                 return np.full((shape[0], Y.shape[-1]), np.inf), np.full(shape, np.inf)
+            worst_w += self._inside(path.lengths[k], w - path.w[k], found[0], up @ Y, finer)
             other, w, _ = found
             y = other[:, -1].copy()
-            change = np.abs(down @ other - Y).max(axis=1)
+            change = np.abs(other - up @ Y).max(axis=1)
             worst_y = change if worst_y is None else np.maximum(worst_y, change)
             worst_w.append(w - path.w[k + 1])
         z = np.abs(self.flow.read(np.array(worst_w))).max(axis=0)
         return worst_y, z
+
+    def _inside(
+        self, h: float, w: np.ndarray, Y: np.ndarray, coarse: np.ndarray, finer: WindowSolver
+    ) -> list[np.ndarray]:
+        """What w differs by a quarter, a half and three quarters into a window."""
+        table = finer.table(0.25 * h)
+        if table is None:
+            return []
+        g, commands, out = finer.grid, self.system.commands, []
+        C = commands(Y) - commands(coarse)
+        end = table.end[:, :-1].reshape(len(table.end), -1)
+        for quarter in range(3):
+            at = 0.5 * (quarter + g.nodes) - 1.0  # of the whole window, in [-1, 1]
+            L = np.polynomial.chebyshev.chebvander(at, finer.s - 1) @ g.coefficients
+            pushed = (L @ C).transpose(0, 2, 1).reshape(len(C), -1) @ end.T
+            w = self.flow.apply(table.E, w) + pushed
+            out.append(w)
+        return out
 
     def _first(self, w: np.ndarray, y: np.ndarray) -> float:
         """Half the time in which y would change by its own size, s."""
