@@ -10,11 +10,11 @@ from cellsys.reduction.field import full_field
 from tests.study.scenes import TINY
 
 
-@pytest.fixture(scope="module")
-def pair():
-    """Two cells on linear fibres, 60 s sampled every second."""
+@pytest.fixture(scope="module", params=[60, 600])
+def pair(request):
+    """Two cells on linear fibres, sampled every second."""
     table = tomllib.loads(TINY)
-    table |= {"duration": "60 s", "sample": "1 s"}
+    table |= {"duration": f"{request.param} s", "sample": "1 s"}
     table["matrix"] = {"diameter": "50 um"}
     table["cells"] = [
         {"position": ["-9 um", "0 um"], "radius": "6 um", "polarity": "90 deg"},
@@ -53,8 +53,11 @@ def test_given_loads_on_linear_fibres(pair):
         parts = [loads_of(field, run, f"cell{k}") for k in (1, 2)]
         assert np.abs(sum(parts) - loads).max() < 1e-9 * np.abs(loads).max()
         together = field.displacement(field.simulate(loads, 1.0).x)
-        # linear: what is left is the turning of fibres, about 1 % of stretch; else the time step
-        assert error(together, truth) < 0.02
+        # linear: what is left is the turning of fibres, which grows with the displacement (2.3 %
+        # at 600 s); else the time step, felt most while the cell still touches down
+        late = linear and run.t[-1] > 100
+        assert error(together, truth) < (0.025 if late else 0.02)
+        assert linear or run.t[-1] < 100 or error(together, truth) < 0.005
         apart = sum(field.displacement(field.simulate(p, 1.0).x) for p in parts)
         if linear:  # superposing loads is exact
             assert error(apart, together) < 1e-12
