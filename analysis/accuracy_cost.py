@@ -97,11 +97,7 @@ def who_is_cheapest(sweep):
 
 
 def crawler_sweep(end, repeats):
-    """Event-driven crawler: integrators that find events.
-
-    One crawler: the two of the example are mirror images until they compete for a node, and who
-    gets it is decided by rounding.
-    """
+    """Event-driven crawler: integrators that find events; one crawler (README: why not two)."""
     scene = cs.load_scene(HERE.parent / "examples" / "crawler.toml")
     scene = dataclasses.replace(scene, cells=scene.cells[:1])
     problem = cs.CostProblem("crawler", cs.build(scene), np.linspace(0.0, end, 41))

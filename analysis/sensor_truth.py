@@ -181,11 +181,11 @@ def draw(curves: dict[str, list[np.ndarray]], dt: float, folder: Path) -> None:
     figure, ax = sheet((7, 3.8))
     for k, (name, misses) in enumerate(curves.items()):
         for i, (start, miss) in enumerate(zip(STARTS, misses, strict=False)):
-            ax.plot(dt * np.arange(len(miss)), miss, color=f"C{k}", alpha=1.0 - 0.2 * i,
+            ax.plot(dt * np.arange(len(miss)), miss, ("-", "--", ":", "-.")[i], color=f"C{k}",
                     label=f"{name}, from {start:g} deg")  # fmt: skip
     ax.axhline(0.0, color="0.6", lw=0.8)
     ax.set(xlabel="time (s)", ylabel="heading error of the reduced loop (deg)")
-    ax.legend(fontsize="x-small", ncols=2)
+    figure.legend(fontsize="x-small", ncols=4, loc="outside lower center")
     folder.mkdir(parents=True, exist_ok=True)
     save_png(figure, folder / "sensor_truth.png")
 
