@@ -196,6 +196,20 @@ def test_bad_model_files(command, call, model_file, tmp_path):
     refused(call(command, tmp_path), "cellsys")
 
 
+def test_bode_of_a_scheduled_model_along_time(call, model_file, tmp_path):
+    from tests.reduction.equivariant.runs import model
+
+    model().save(tmp_path / "scheduled.npz")
+    code, out, _ = call("bode", "scheduled.npz", "--at", "20,100", "-o", "along.png", "--json")
+    assert code == 0
+    found = json.loads(out)
+    assert list(found) == ["20", "100"]
+    assert found["20"]["phase_margin_deg"] != found["100"]["phase_margin_deg"]
+    assert (tmp_path / "along.png").stat().st_size > 1000
+    refused(call("bode", "scheduled.npz", "--at", "soon"), "times in s")
+    refused(call("bode", model_file, "--at", "20"), "scheduled model")
+
+
 def test_bode_refuses_models_without_a_loop(call, tmp_path):
     LatentModel(-np.eye(2)).save(tmp_path / "bare.npz")
     refused(call("bode", "bare.npz", "-o", "b.png"), "no sensor")

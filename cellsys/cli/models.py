@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,6 +11,7 @@ from cellsys.cli.console import Json, ModelFile, app, dump
 
 if TYPE_CHECKING:
     from cellsys.reduction import LatentModel
+    from cellsys.response import Margins
 
 
 @app.command()
@@ -114,18 +115,19 @@ def bode(
         draw(result, axes)
         save_png(figure, out)
     if as_json:
-        dump(
-            {
-                "gain_margin": result.gain_margin,
-                "phase_margin_deg": result.phase_margin,
-                "delay_margin_s": result.delay_margin,
-                "closed_loop_stable": result.closed_loop_stable,
-                "set_apart": len(point.slow),
-            }
-        )
+        dump({**_margin_table(result), "set_apart": len(point.slow)})
         return
     print(f"{point}\n{result}")
     print(_verdict(loaded))
+
+
+def _margin_table(found: Margins) -> dict[str, Any]:
+    return {
+        "gain_margin": found.gain_margin,
+        "phase_margin_deg": found.phase_margin,
+        "delay_margin_s": found.delay_margin,
+        "closed_loop_stable": found.closed_loop_stable,
+    }
 
 
 def _bode_along(
@@ -150,17 +152,7 @@ def _bode_along(
         bode_family(found, axes)
         save_png(figure, out)
     if as_json:
-        dump(
-            {
-                f"{t:g}": {
-                    "gain_margin": m.gain_margin,
-                    "phase_margin_deg": m.phase_margin,
-                    "delay_margin_s": m.delay_margin,
-                    "closed_loop_stable": m.closed_loop_stable,
-                }
-                for t, m in found.items()
-            }
-        )
+        dump({f"{t:g}": _margin_table(m) for t, m in found.items()})
         return
     for t, m in found.items():
         print(

@@ -8,7 +8,7 @@ import pytest
 import cellsys as cs
 from cellsys.reduction.equivariant.dynamics import CellDynamics
 
-from .runs import model, scene
+from .runs import data, model, scene
 
 
 @pytest.fixture(scope="module")
@@ -115,3 +115,20 @@ def test_cells_drive_the_matrix_and_ride_on_it(field):
 def test_bad_starts_and_commands_are_refused(field, call):
     with pytest.raises((cs.DataError, cs.DimensionError)):
         call(cs.CellsOnField(model(), field))
+
+
+def test_the_card_says_what_the_cell_is_worth_on_the_matrix(field):
+    """Beside the projection floor and what needs no model; a field of another matrix is refused."""
+    train, held = data()
+    shown = cs.with_matrix(model(), field, held, train)
+    row = shown.card.held_out["matrix"]
+    assert row["floor"] < row["model"] < row["nothing moves"] == pytest.approx(1.0)
+    assert row["spread over runs"] == 0.0  # one held-out run
+    assert "matrix" in str(shown.card)
+    other = cs.Scene.parse(
+        {"matrix": {"diameter": "40 um", "nodes": 300}, "effects": {"drag": {}, "matrix_elasticity": {}},
+         "name": "other", "duration": "10 s", "sample": "5 s", "cells": []}
+    )  # fmt: skip
+    small = cs.GalerkinField(cs.build(other), order=10, places=10, per_place=2)
+    with pytest.raises(cs.DataError, match="another|nodes"):
+        cs.with_matrix(model(), small, held, train)
