@@ -27,6 +27,7 @@ from cellsys.accuracy.starts import (
     loop_problems,
     probe_times,
     scene_problems,
+    uncapped,
 )
 from cellsys.accuracy.work_precision import WorkPrecision, work_precision
 from cellsys.errors import CellsysError, DataError, IntegrationError, ParameterError
@@ -237,7 +238,7 @@ def _choose(
             default=found,
         )  # fmt: skip
         if tried <= error:
-            integrator = name if setup.make is None else setup.make(setting)
+            integrator = name if setup.make is None else uncapped(setup.make(setting))
             return Budget(error, measure, integrator, seconds, found, tried, "", sweeps)
     best = min((found for _, found, _, _ in worst), default=float("nan"))
     floor = f"{ends} leaves {best:.2g} (asked {error:g} with a margin of {margin:g})"

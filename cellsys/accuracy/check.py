@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from cellsys.accuracy.budget import Budget, held_out_error
 from cellsys.accuracy.setups import CostProblem, Setup
+from cellsys.accuracy.starts import uncapped
 from cellsys.errors import ParameterError
 
 
@@ -75,7 +76,8 @@ def check_budget(
             began = clock.perf_counter()
             error = held_out_error(setup, setting, problem, truth, found.measure)
             rows.append((clock.perf_counter() - began, error, setup, setting))
-    mine = [r for r in rows if r[2].make is not None and r[2].make(r[3]) == found.integrator]
+    made = [r for r in rows if r[2].make is not None]
+    mine = [r for r in made if uncapped(r[2].make(r[3])) == found.integrator]
     if not found or not mine:
         raise ParameterError(
             f"the budget's setting {found.integrator!r} is not among the settings searched"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -133,3 +134,10 @@ def full_order_references(problem: CostProblem, error: float) -> tuple[Setup, Se
     euler = by_step(ExplicitEuler, [min(limit, 0.5 * error)])
     tolerance = min(3e-4 * error, 1e-5)
     return euler, by_tolerance(RKC, [tolerance], {"max_steps": 10 * MOST})
+
+
+def uncapped(integrator: Any) -> Any:
+    """The integrator without the cap on steps that only keeps a search short."""
+    if isinstance(integrator, RKC):
+        return dataclasses.replace(integrator, max_steps=RKC.max_steps)
+    return integrator
