@@ -37,7 +37,8 @@ class GalerkinField(MatrixField):
     snapshots : runs, or array (k, n, 3), optional
         Displacements that enter the POD besides the responses, with the same total weight.
     places, per_place : int
-        Number of places, and of loads at each.
+        Number of places, and of loads at each; None: 180, and as many as modes beyond 200 of them
+        (with fewer, the last modes answer single loads).
     slope : float
         Slope of every fibre in the kept factorisation of the implicit step.
     tolerance : float
@@ -60,7 +61,7 @@ class GalerkinField(MatrixField):
     linear: bool = False
     seed: int = 0
     snapshots: Any = field(default=None, repr=False)
-    places: int = 180
+    places: int | None = None
     per_place: int = 5
     slope: float = 0.85
     tolerance: float = 1e-3
@@ -70,6 +71,9 @@ class GalerkinField(MatrixField):
 
     def __post_init__(self) -> None:
         matrix = MatrixEnergy(self.system)
+        if self.places is None:
+            many = isinstance(self.order, (int, np.integer)) and self.order > 200
+            object.__setattr__(self, "places", int(self.order) if many else 180)
         for name in ("order", "places", "per_place", "iterations"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
