@@ -18,7 +18,11 @@ def command_features(
     """Inputs of a latent model: amplitude times (1, cos, sin, cos 2, sin 2) of each heading.
 
     p (T, cells, 3), amplitude (T, cells) or None for 1; returns (T, 5 cells) and their names.
+    `DataError` where p or the amplitude is not finite, or too large to be squared.
     """
+    for what, values in (("polarity", p), ("amplitude", amplitude)):
+        if values is not None and not np.all(np.abs(values) < 1e100):
+            raise DataError(f"{what} of a run holds NaN, inf or more than 1e100; repair that run")
     features, names = [], []
     for c in range(p.shape[1]):
         shape = np.array([heading_features(row) for row in p[:, c]]).reshape(len(p), 4)

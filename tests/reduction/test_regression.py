@@ -359,3 +359,14 @@ def test_a_coarse_model_is_rolled_out_between_its_steps():
     assert predict_samples(model, np.array([2.0]), None, 1.0, 1).tolist() == [[2.0]]
     with pytest.raises(ParameterError, match="grid"):
         predict_samples(model, np.array([2.0]), None, 2.0, 4)
+
+
+def test_recorded_headings_too_large_to_be_squared_are_refused():
+    """Found by the fuzz of run files: a heading of 1e200 overflowed instead."""
+    from cellsys.reduction.commands import command_features
+
+    p = np.array([[[1.0, 0.0, 0.0]], [[1e200, 0.0, 0.0]]])
+    with pytest.raises(DataError, match="polarity of a run"):
+        command_features(p, None)
+    with pytest.raises(DataError, match="amplitude of a run"):
+        command_features(p[:1], np.array([[np.inf]]))
