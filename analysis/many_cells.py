@@ -1,13 +1,16 @@
 """The shipped scenes of two and of ten cells to their end, full-order and reduced, read alike.
 
-    python analysis/many_cells.py [--quick] [--out DIR] [--only two|ten]
+    python analysis/many_cells.py [--quick] [--out DIR] [--only two|facing|ten]
 
 One equivariant cell is learned from runs of one cell with turning headings on a 60 um disc of the
 same material. K of them on the matrix of the scene (all its fibres, not projected), each with its
 own polarity law and the sensing law on the shared fibres, are run as the scene says and read out
 by `observe` like the full-order run: matrix speed in the gap and at the periphery, normalised gap,
 speed against spacing, attenuation length. Beside each stands the one-cell control: every cell alone
-at the same place, full-order for full-order, reduced for reduced. --out keeps runs and figure.
+at the same place, full-order for full-order, reduced for reduced. How far the scene can be known
+at all is shown by the full-order run from a start shifted by 5 nm; what of the error is the
+mechanics' own, by reduced cells that follow the headings of the full-order run. Facing cells run
+until they touch. --out keeps runs and figure.
 """
 
 import argparse
@@ -23,11 +26,14 @@ import cellsys as cs
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 CLOSE = 40.0  # um between the edges: pairs farther apart are not neighbours
+SHIFT = 5e-3  # um
+MATRIX = "matrix.displacement"
 
 
 def scenes(quick: bool, only: str | None) -> dict[str, cs.Scene]:
     """Scenes by name; in quick form one pair on a small disc."""
-    names = {"two": ("two_cells", "two_cells_far"), "ten": ("ten_cells",)}
+    names = {"two": ("two_cells", "two_cells_far"), "facing": ("two_cells_facing",),
+             "ten": ("ten_cells",)}  # fmt: skip
     chosen = [n for key, group in names.items() if only in (None, key) for n in group]
     found = {n: cs.load_scene(EXAMPLES / f"{n}.toml") for n in chosen[: 1 if quick else None]}
     if not quick:
@@ -63,9 +69,16 @@ def learn(quick: bool, folder: Path) -> cs.EquivariantModel:
 
 
 def reduced(
-    model: cs.EquivariantModel, scene: cs.Scene, field: cs.FullField, which: list[int]
+    model: cs.EquivariantModel,
+    scene: cs.Scene,
+    field: cs.FullField,
+    which: list[int],
+    heading: np.ndarray | None = None,
 ) -> tuple[cs.Trajectory, float]:
-    """The chosen cells of a scene on its matrix, in nodes; and the time it took, s."""
+    """The chosen cells of a scene on its matrix, in nodes; and the time it took, s.
+
+    They steer themselves, or follow `heading` (steps, K).
+    """
     chosen = [scene.cells[k] for k in which]
     ports = cs.LoadPorts(
         field,
@@ -79,7 +92,10 @@ def reduced(
         sensor=cs.FieldSensor.of(scene.effects["stiffness_sensing"]),
     )
     began = time.perf_counter()
-    run = cells.simulate(model.dt * np.arange(int(scene.duration / model.dt) + 1))
+    steps = int(scene.duration / model.dt)
+    run = cells.simulate(
+        model.dt * np.arange(steps + 1), heading=None if heading is None else heading[:, which]
+    )
     return cells.in_nodes(run), time.perf_counter() - began
 
 
@@ -98,7 +114,9 @@ def on_grid(run: cs.Trajectory, dt: float) -> cs.Trajectory:
     blocks = [b for b in run.states if b.name.endswith((".position", ".displacement"))]
     x = np.column_stack([run.block(b.name)[::every].reshape(len(run.t[::every]), -1)
                          for b in blocks])  # fmt: skip
-    return cs.Trajectory(run.t[::every], x, cs.Layout(blocks), p=np.asarray(run.p)[::every])
+    return cs.Trajectory(
+        run.t[::every], x, cs.Layout(blocks), p=np.asarray(run.p)[::every], events=run.events
+    )
 
 
 def read(
@@ -114,11 +132,46 @@ def read(
     return out
 
 
+def relative(found: np.ndarray, truth: np.ndarray) -> float:
+    """Norm of the difference over that of the truth."""
+    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
+
+
+def misses(found: cs.Trajectory, truth: cs.Trajectory) -> str:
+    """Errors of cells, matrix and headings in words."""
+    names = [b.name for b in truth.states if b.name.endswith(".position")]
+    moves = [np.concatenate([r.block(n) - r.block(n)[0] for n in names], axis=1)
+             for r in (found, truth)]  # fmt: skip
+    angle = [np.arctan2(r.p[..., 1], r.p[..., 0]) for r in (found, truth)]
+    turn = np.degrees(np.angle(np.exp(1j * (angle[0] - angle[1]))))
+    return (
+        f"cells {relative(*moves):.3f} of their motion, matrix "
+        f"{relative(found.block(MATRIX), truth.block(MATRIX)):.3f}, "
+        f"heading {np.sqrt(np.mean(turn**2)):.1f} deg rms"
+    )
+
+
+def shifted(scene: cs.Scene) -> cs.Scene:
+    """Every cell 5 nm to the side."""
+    cells = [
+        dataclasses.replace(c, position=(c.position[0] + SHIFT, c.position[1]))
+        for c in scene.cells
+    ]
+    return dataclasses.replace(scene, name=f"{scene.name}, shifted", cells=tuple(cells))
+
+
+def followed(run: cs.Trajectory) -> np.ndarray:
+    """Headings (steps, K) of a run, half-way between its samples."""
+    angle = np.unwrap(np.arctan2(run.p[..., 1], run.p[..., 0]), axis=0)
+    return 0.5 * (angle[1:] + angle[:-1])
+
+
 def compare(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> dict:
     """One scene, both ways."""
-    full, *singles = cs.run_ensemble([scene, *cs.alone_scenes(scene)], folder)
+    alone = cs.alone_scenes(scene)
+    full, moved, *singles = cs.run_ensemble([scene, shifted(scene), *alone], folder)
     wall = full.statistics["wall_time"]
-    full, *singles = (on_grid(r, model.dt) for r in (full, *singles))
+    full, moved, *singles = (on_grid(r, model.dt) for r in (full, moved, *singles))
     system = cs.build(scene)
     rest, field = system.matrix.position, cs.full_field(system)
     K = len(scene.cells)
@@ -131,17 +184,16 @@ def compare(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> dict:
     }
     print(f"\n{scene.name}: {K} cells, {len(rest)} nodes, {scene.duration:g} s; full-order "
           f"{wall:.0f} s, reduced {took:.1f} s")  # fmt: skip
-    moved = np.concatenate([full.block(f"cell{k + 1}.position") for k in range(K)], axis=1)
-    found = np.concatenate([small.block(f"cell{k + 1}.position") for k in range(K)], axis=1)
-    miss = np.linalg.norm(found - found[0] - moved + moved[0]) / np.linalg.norm(moved - moved[0])
-    u, v = full.block("matrix.displacement"), small.block("matrix.displacement")
-    lone = sum(r.block("matrix.displacement") for r in singles)
-    size = np.linalg.norm(u)
-    angle = [np.arctan2(r.p[..., 1], r.p[..., 0]) for r in (full, small)]
-    turn = np.degrees(np.angle(np.exp(1j * (angle[1] - angle[0]))))
-    print(f"  cells {miss:.3f} of their motion, matrix {np.linalg.norm(v - u) / size:.3f} "
-          f"(superposed full-order fields of cells alone {np.linalg.norm(lone - u) / size:.3f}), "
-          f"heading {np.sqrt(np.mean(turn**2)):.1f} deg rms")  # fmt: skip
+    u, heading = full.block(MATRIX), followed(full)
+    led, _ = reduced(model, scene, field, list(range(K)), heading)
+    led_alone = sum(reduced(model, scene, field, [k], heading)[0].block(MATRIX) for k in range(K))
+    print(f"  reduced, each its own polarity: {misses(small, full)}")
+    print(f"  full-order, start shifted by 5 nm: {misses(moved, full)}")
+    print(f"  superposed fields of cells alone, each its own polarity: matrix full-order "
+          f"{relative(sum(r.block(MATRIX) for r in singles), u):.3f}, reduced "
+          f"{relative(sum(r.block(MATRIX) for r in controls), u):.3f}")  # fmt: skip
+    print(f"  reduced, headings of the full-order run: {misses(led, full)}; superposed reduced "
+          f"fields of cells alone: matrix {relative(led_alone, u):.3f}")  # fmt: skip
     for name, run in (("full", singles[0]), ("reduced", controls[0])):
         print(f"  {name}, around cell 1 alone: {cs.attenuation_length(run, rest)}")
     head = ("pair", "gap um", "norm. gap", "gap nm/s", "alone", "far nm/s", "alone")
@@ -157,6 +209,38 @@ def compare(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> dict:
             print(f"  {name:>10s} {f'{pair[0] + 1}-{pair[1] + 1}':>10s} "
                   + " ".join(f"{value:10.2f}" for value in values))  # fmt: skip
     return rows
+
+
+def until_touch(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> None:
+    """Facing cells: when they touch, full-order and reduced, and what they do until then."""
+    full, moved = cs.run_ensemble([scene, shifted(scene)], folder)
+    ends = []
+    scene = dataclasses.replace(scene, duration=float(full.t[-1]), until=None)
+    singles = cs.run_ensemble(cs.alone_scenes(scene), folder)
+    full, moved, *singles = (on_grid(r, model.dt) for r in (full, moved, *singles))
+    system = cs.build(scene)
+    small, took = reduced(model, dataclasses.replace(scene, duration=model.horizon),
+                          cs.full_field(system), [0, 1])  # fmt: skip
+    for name, run in (("full-order", full), ("shifted by 5 nm", moved),
+                      ("reduced", cs.until_contact(small))):  # fmt: skip
+        touch = [e for e in run.events if e.name == "contact"]
+        end = f"{touch[0].detail} touch at {touch[0].time:.0f} s" if touch else "no contact"
+        gap = cs.edge_gap(run)
+        ends.append(f"{name}: {end}, gap {gap[0]:.1f} -> {gap[-1]:.1f} um")
+    print(f"\n{scene.name}, reduced in {took:.1f} s\n  " + "\n  ".join(ends))
+    count = min(len(full), len(small), len(moved))
+    print(f"  until {full.t[count - 1]:.0f} s, reduced: "
+          f"{misses(first(small, count), first(full, count))}")  # fmt: skip
+    print(f"  shifted by 5 nm: {misses(first(moved, count), first(full, count))}")
+    count = min(len(full), *(len(r) for r in singles))
+    read_out = cs.observe_pair(first(full, count), [first(r, count) for r in singles],
+                               system.matrix.position)  # fmt: skip
+    print(f"  full-order: {read_out}")
+
+
+def first(run: cs.Trajectory, count: int) -> cs.Trajectory:
+    """The first samples of a run, positions and polarity alone."""
+    return cs.Trajectory(run.t[:count], run.x[:count], run.states, p=np.asarray(run.p)[:count])
 
 
 def draw(found: dict[str, dict], folder: Path) -> None:
@@ -181,14 +265,20 @@ def main(quick: bool = False, out: str | None = None, only: str | None = None) -
     folder = Path(out)
     model = learn(quick, folder / "runs")
     print(model.card.verdict)
-    found = {n: compare(model, s, folder / "runs") for n, s in scenes(quick, only).items()}
-    draw(found, folder)
+    found = {}
+    for name, scene in scenes(quick, only).items():
+        if scene.until is not None:
+            until_touch(model, scene, folder / "runs")
+        else:
+            found[name] = compare(model, scene, folder / "runs")
+    if found:
+        draw(found, folder)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--out", help="folder of runs and figure")
-    parser.add_argument("--only", choices=("two", "ten"))
+    parser.add_argument("--only", choices=("two", "facing", "ten"))
     given = parser.parse_args()
     main(given.quick, given.out, given.only)

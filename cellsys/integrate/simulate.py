@@ -110,6 +110,7 @@ def simulate(
     progress: Callable[[float], None] | None = None,
     label: str = "",
     model_error: Mapping[str, float] | None = None,
+    until: Callable[[float, np.ndarray], bool] | None = None,
 ) -> Trajectory:
     """Integrate a system and record it at the times `t`.
 
@@ -138,6 +139,9 @@ def simulate(
         Name of the run.
     model_error : mapping, optional
         The model's part of the error by block, written to the trajectory.
+    until : callable, optional
+        ``until(t, x)`` is asked at every sample from a fixed-step integrator; where it is true
+        the run ends, and later samples are neither computed nor returned.
 
     Raises
     ------
@@ -160,6 +164,11 @@ def simulate(
             f"{type(integrator).__name__} does not look for events and this system has some "
             f"({guards[0].name!r}, ...); use DOP853, Radau or LSODA"
         )
+    if until is not None and hasattr(integrator, "solve"):
+        raise ParameterError(
+            f"{type(integrator).__name__} finds a whole run at once and cannot end it on a "
+            "condition; use LinearlyImplicit or ExplicitEuler"
+        )
     if hasattr(integrator, "solve") and getattr(system, "discrete", False):
         raise ParameterError(
             f"{type(integrator).__name__} knows no steps, and this system changes between them "
@@ -179,21 +188,32 @@ def simulate(
             seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         )
         statistics, events = _march(
-            system, integrator, times, start, rng, rows, auxiliaries, progress
+            system, integrator, times, start, rng, rows, auxiliaries, progress, until
         )
         own = None
+    arrays = rows.arrays
+    if until is not None:
+        times, arrays = first_samples(statistics["samples"], times, arrays)
     # A stepper without tolerances reads its error from the samples, in `trajectory_of`.
     if "step" not in statistics:
 
         def again(second: Any) -> np.ndarray:
             return _samples(system, second, times, start, seed)
 
-        estimator = estimate_of(integrator, rows.arrays["x"], again, own)
+        estimator = estimate_of(integrator, arrays["x"], again, own)
     statistics["wall_time"] = statistics.get("wall_time", 0.0) + clock.perf_counter() - began
     statistics["integrator"] = repr(integrator)
     return trajectory_of(
-        system, times, rows.arrays, events, statistics, label, estimator, model_error
+        system, times, arrays, events, statistics, label, estimator, model_error
     )
+
+
+def first_samples(
+    count: int, t: np.ndarray, arrays: Mapping[str, np.ndarray]
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Times and recorded arrays of the first `count` samples."""
+    rows = {"eta": count - 1, "u": count - 1, "eta_start": None}
+    return t[:count], {name: a[: rows.get(name, count)] for name, a in arrays.items()}
 
 
 def _samples(
@@ -206,7 +226,7 @@ def _samples(
     rng = np.random.default_rng(
         seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
     )
-    _march(system, integrator, t, x0, rng, rows, False, None)
+    _march(system, integrator, t, x0, rng, rows, False)
     return rows.arrays["x"]
 
 
@@ -290,7 +310,8 @@ def _march(
     rng: np.random.Generator,
     rows: Sink,
     auxiliaries: bool,
-    progress: Callable[[float], None] | None,
+    progress: Callable[[float], None] | None = None,
+    until: Callable[[float, np.ndarray], bool] | None = None,
 ) -> tuple[dict[str, Any], tuple[Event, ...]]:
     stepper = integrator.start(system, float(t[0]), x0, rng)
     stepper.averages = auxiliaries
@@ -325,9 +346,14 @@ def _march(
                     "rng": rng.bit_generator.state,
                 },
             )
+        ends = until is not None and until(float(t[k + 1]), stepper.x)
         if progress is not None:
-            progress((k + 1) / (len(t) - 1))
+            progress(1.0 if ends else (k + 1) / (len(t) - 1))
+        if ends:
+            break
     statistics = {**stepper.statistics, "wall_time": wall}
+    if until is not None:
+        statistics["samples"] = k + 2
     if getattr(integrator, "rtol", None) is None:
         statistics |= {"step": float(integrator.step), "estimate_is_quick": True}
     return statistics, tuple(stepper.events)

@@ -258,10 +258,12 @@ def check_places(cells: tuple[Crawler, ...], chain: Chain) -> None:
     spans = []
     for k, cell in enumerate(cells):
         low, high = sorted((cell.trail_node, cell.lead_node))
-        if low < 1 or high > chain.nodes:
-            raise SceneError(
-                f"cell{k + 1} holds nodes {low} and {high}; the chain has nodes 1..{chain.nodes}"
-            )
+        for name in ("trail_node", "lead_node"):
+            node = getattr(cell, name)
+            if not 1 <= node <= chain.nodes:
+                raise SceneError(
+                    f"cells[{k}].{name} = {node} must be one of the chain's nodes 1..{chain.nodes}"
+                )
         spans.append((low, high, k))
     spans.sort()
     for (_, high, a), (low, _, b) in itertools.pairwise(spans):

@@ -1,15 +1,14 @@
 """Physical read-outs of runs, full-order or reconstructed."""
 
+from cellsys.mechanics.contact import edge_gap, until_contact
 from cellsys.observe.pairs import (
     Attenuation,
     PairReadout,
     alone_scenes,
     attenuation_length,
-    edge_gap,
     observe_pair,
     pair_regions,
     speed_against_spacing,
-    until_contact,
 )
 from cellsys.observe.read_outs import read_outs
 from cellsys.observe.spreading import contact_radius, node_speed, summary_of_run

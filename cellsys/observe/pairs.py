@@ -1,4 +1,4 @@
-"""Read-outs of cells that share a matrix: gap, matrix speed between and around them, contact.
+"""Read-outs of cells that share a matrix: gap, matrix speed between and around them.
 
 Speeds between two cells say little by themselves: one cell alone moves the matrix there too. So
 every read-out of a pair takes the *one-cell control*, each cell alone at the same place, over the
@@ -9,74 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.mechanics.contact import edge_gap
 from cellsys.observe.spreading import contact_radius, node_speed
-from cellsys.system import Event
 from cellsys.trajectory import Trajectory
 
 RIM = 0.87  # share of the matrix radius beyond which the clamped edge is felt
-
-
-def cell_names(run: Trajectory) -> list[str]:
-    """``cell1``, ``cell2``, ... of a run."""
-    return [b.name.split(".")[0] for b in run.states if b.name.endswith(".position")]
-
-
-def edge_gap(run: Trajectory, first: str = "cell1", second: str = "cell2") -> np.ndarray:
-    """Free distance between two cells along the line of their centres (T,), um.
-
-    The distance of the centres minus how far each membrane reaches towards the other;
-    0 at contact, negative where the membranes overlap (nothing in the model may forbid it).
-    """
-    a, b = run.block(f"{first}.position"), run.block(f"{second}.position")
-    between = (b.mean(axis=1) - a.mean(axis=1))[:, :2]
-    distance = np.linalg.norm(between, axis=1)
-    if np.any(distance == 0):
-        raise DataError("two cells have the same centre: there is no line between them")
-    e = between / distance[:, None]
-    reach = [
-        np.einsum("tni,ti->tn", x[:, :, :2] - x[:, :, :2].mean(axis=1)[:, None], s * e).max(axis=1)
-        for x, s in ((a, 1.0), (b, -1.0))
-    ]
-    return distance - reach[0] - reach[1]
-
-
-def until_contact(run: Trajectory, gap: float = 0.0) -> Trajectory:
-    """The run up to the first contact of two cells, which becomes its last event.
-
-    Contact is where the `edge_gap` of a pair falls to `gap` um, found by linear interpolation
-    between samples; later samples are dropped. A run without contact is returned as it is.
-    """
-    if not np.isfinite(gap):
-        raise ParameterError(f"gap must be finite, got {gap!r}")
-    first: tuple[float, int, str] | None = None
-    for a, b in combinations(cell_names(run), 2):
-        g = edge_gap(run, a, b) - gap
-        below = np.flatnonzero(g <= 0)
-        if not below.size:
-            continue
-        k = int(below[0])
-        time = float(run.t[0])
-        if k:
-            share = g[k - 1] / (g[k - 1] - g[k])
-            time = float(run.t[k - 1] + share * (run.t[k] - run.t[k - 1]))
-        if first is None or time < first[0]:
-            first = (time, k, f"{a} and {b}")
-    if first is None:
-        return run
-    time, k, who = first
-    keep = max(k, 1)
-    rows = {n: None if getattr(run, n) is None else getattr(run, n)[:keep]
-            for n in ("p", "d", "amplitude", "virial", "stiffness")}  # fmt: skip
-    steps = {n: None if getattr(run, n) is None else getattr(run, n)[: keep - 1]
-             for n in ("eta", "u")}  # fmt: skip
-    events = (*(e for e in run.events if e.time <= time), Event(time, "contact", who))
-    return replace(run, t=run.t[:keep], x=run.x[:keep], events=events, **rows, **steps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,6 +242,6 @@ def alone_scenes(scene: Any) -> list[Any]:
     if len(scene.cells) < 2:
         raise ParameterError("a one-cell control needs a scene of at least two cells")
     return [
-        replace(scene, cells=(cell,), name=f"{scene.name}, cell {k} alone")
+        replace(scene, cells=(cell,), name=f"{scene.name}, cell {k} alone", until=None)
         for k, cell in enumerate(scene.cells, start=1)
     ]

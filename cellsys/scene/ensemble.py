@@ -17,7 +17,8 @@ import numpy as np
 
 from cellsys.errors import BudgetError, FileFormatError, ParameterError
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
-from cellsys.integrate.simulate import record_shapes, simulate, trajectory_of
+from cellsys.integrate.simulate import first_samples, record_shapes, simulate, trajectory_of
+from cellsys.mechanics.contact import touching, until_contact
 from cellsys.scene.build import build
 from cellsys.scene.chain import METHOD, ChainScene
 from cellsys.scene.parse import scene_from_plain
@@ -33,7 +34,9 @@ def run_scene(
     """Simulate a scene; with a folder, cached there and resumable.
 
     A disc is marched at the scene's own step; on a chain LSODA finds the switches (rtol 1e-10,
-    atol 1e-12; a run takes seconds and is started again when it was interrupted).
+    atol 1e-12; a run takes seconds and is started again when it was interrupted). A scene with
+    ``until = "contact"`` ends with the sample after which two cells touch; the event of the
+    contact has its time.
 
     Parameters
     ----------
@@ -46,15 +49,18 @@ def run_scene(
     system = build(scene)
     chain = isinstance(scene.matrix, ChainScene)
     method = METHOD if chain else LinearlyImplicit(step=scene.step)
+    until = touching(system.states) if scene.until == "contact" else None
     if folder is None:
-        return simulate(
+        run = simulate(
             system,
             method,
             scene.times,
             seed=scene.seed,
             progress=progress,
             label=scene.name,
+            until=until,
         )
+        return run if until is None else until_contact(run)
     target = Path(folder) / scene.fingerprint()[:20]
     if not (target / "run.json").exists():
         writer = RunWriter(
@@ -69,11 +75,12 @@ def run_scene(
             seed=scene.seed,
             sink=writer,
             progress=progress,
+            until=until,
         )
         writer.finish(
             {"statistics": _numbers(run.statistics), "events": [list(e) for e in run.events]}
         )
-    return _trajectory(RunReader(target), system, scene.times, scene.name)
+    return _trajectory(RunReader(target), system, scene)
 
 
 def _numbers(statistics: Mapping[str, Any]) -> dict[str, Any]:
@@ -81,7 +88,8 @@ def _numbers(statistics: Mapping[str, Any]) -> dict[str, Any]:
     return {k: v for k, v in statistics.items() if not isinstance(v, float) or np.isfinite(v)}
 
 
-def _trajectory(reader: RunReader, system: OdeSystem, t: np.ndarray, label: str) -> Trajectory:
+def _trajectory(reader: RunReader, system: OdeSystem, scene: Scene) -> Trajectory:
+    t, label = scene.times, scene.name
     if not isinstance(label, str):
         raise FileFormatError(f"{str(reader.folder)!r} names its scene {label!r}, not by a text")
     found = {k: (v.shape, v.dtype) for k, v in reader.arrays.items()}
@@ -97,11 +105,19 @@ def _trajectory(reader: RunReader, system: OdeSystem, t: np.ndarray, label: str)
         statistics = dict(reader.metadata["statistics"])
         if "step" in statistics:
             float(statistics["step"])
+        count = int(statistics["samples"]) if scene.until is not None else len(t)
     except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise FileFormatError(
             f"{str(reader.folder)!r} holds damaged events or statistics: {error}"
         ) from error
-    return trajectory_of(system, t, reader.arrays, events, statistics, label)
+    if not 2 <= count <= len(t):
+        raise FileFormatError(
+            f"{str(reader.folder)!r} says it ended after {count} of {len(t)} samples; run the "
+            "scene again"
+        )
+    t, arrays = first_samples(count, t, reader.arrays)
+    run = trajectory_of(system, t, arrays, events, statistics, label)
+    return run if scene.until is None else until_contact(run)
 
 
 def read_run(folder: str | Path) -> Trajectory:
@@ -115,7 +131,7 @@ def read_run(folder: str | Path) -> Trajectory:
     reader = RunReader(folder)
     try:
         scene = scene_from_plain(reader.header["scene"])
-        return _trajectory(reader, build(scene), scene.times, scene.name)
+        return _trajectory(reader, build(scene), scene)
     except (FileFormatError, BudgetError):
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:

@@ -128,12 +128,18 @@ def _scene(parsed: Any, registry: Registry) -> Scene:
         value = getattr(parsed.training, name)
         if not value > 0:
             raise SceneError(f"training.{name} must be > 0 s, got {value!r}")
+    if parsed.until is not None and len(parsed.cells) < 2:
+        raise SceneError(
+            f"until = {parsed.until!r} needs at least two cells, got {len(parsed.cells)}; add "
+            "[[cells]] or leave until out"
+        )
     return Scene(
         name=parsed.name,
         duration=parsed.duration,
         sample=parsed.sample,
         step=parsed.step,
         seed=parsed.seed,
+        until=parsed.until,
         matrix=_matrix(parsed.matrix),
         cells=tuple(
             CellScene(
@@ -289,4 +295,5 @@ def scene_from_plain(
         training=Training(**table["training"]),
         seed=table["seed"],
         step=table["step"],
+        until=table.get("until"),
     )

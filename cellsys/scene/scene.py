@@ -118,7 +118,8 @@ class Scene:
 
     Built by `load_scene` or `Scene.parse`; change it with `dataclasses.replace`. Times in s,
     lengths in um, angles in rad. `cells` may be empty (a passive matrix) and `matrix` None (a
-    free membrane), not both.
+    free membrane), not both. `until` "contact" ends the run where two cells touch, before
+    `duration` if that comes first.
 
     Raises
     ------
@@ -137,6 +138,7 @@ class Scene:
     training: Training = field(default_factory=Training)
     seed: int = 0
     step: float = 0.5
+    until: str | None = None
 
     @staticmethod
     def parse(table: Mapping[str, Any], *, effects: Iterable[type[Effect]] = ()) -> Scene:
@@ -162,6 +164,8 @@ class Scene:
                 f"duration / sample = {self.duration / self.sample:.3g} samples, more than "
                 f"{_MOST_SAMPLES:.0e}; sample less often or shorten the run"
             )
+        if self.until not in (None, "contact"):
+            raise SceneError(f"until must be 'contact' or left out, got {self.until!r}")
         plan = self.training
         runs = float(min(plan.runs + plan.held_out, 10**15))  # no float holds every integer
         samples = runs * plan.duration / plan.sample
@@ -257,6 +261,8 @@ class Scene:
     def canonical(self) -> dict[str, Any]:
         """Everything the result depends on, as plain values in internal units."""
         table = {f.name: _plain(getattr(self, f.name)) for f in dataclasses.fields(self)}
+        if self.until is None:
+            table.pop("until")
         return table
 
     def fingerprint(self) -> str:

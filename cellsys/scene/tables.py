@@ -156,6 +156,9 @@ class DiscSceneTable(Table):
     duration: Time
     sample: Time = 5.0
     step: Time = 0.5
+    until: Annotated[
+        Literal["contact"] | None, Field(description="ends the run where two cells touch")
+    ] = None
     seed: Count = 0
     matrix: DiscTable | None = None
     cells: list[_CellTable] = []

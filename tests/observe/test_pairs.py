@@ -1,6 +1,7 @@
 """Read-outs of pairs on synthetic runs with known answers."""
 
 import dataclasses
+import tomllib
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from cellsys.observe import (
     speed_against_spacing,
     until_contact,
 )
+from cellsys.scene.ensemble import read_run
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 from tests.study.scenes import TINY
@@ -120,8 +122,6 @@ def test_attenuation_length_of_an_exponential():
 
 
 def test_controls_of_a_scene():
-    import tomllib
-
     table = tomllib.loads(TINY)
     table["cells"] = [
         {"position": ["-8 um", "0 um"], "radius": "5 um", "polarity": "10 deg"},
@@ -154,3 +154,50 @@ def test_shipped_scenes(name):
     else:
         assert gap == pytest.approx([30.0 if name.endswith("far") else 10.0])
         assert scene.matrix.diameter == pytest.approx(120.0)
+
+
+def facing(until="contact"):
+    table = tomllib.loads(TINY)
+    table["cells"] = [
+        {"position": ["-5.3 um", "0 um"], "radius": "5 um", "polarity": "0 deg"},
+        {"position": ["5.3 um", "0 um"], "radius": "5 um", "polarity": "180 deg"},
+    ]
+    table |= {"duration": "400 s", "sample": "2 s", "until": until}
+    return cs.Scene.parse({k: v for k, v in table.items() if v is not None})
+
+
+def test_a_scene_ends_where_its_cells_touch(tmp_path):
+    scene = facing()
+    run = cs.run_scene(scene)
+    whole = cs.run_scene(facing(None))
+    assert run.events[-1].name == "contact"
+    assert run.t[-1] < run.events[-1].time < scene.duration
+    # the same run, only shorter, and not computed to the end
+    assert np.array_equal(run.x, whole.x[: len(run)])
+    assert run.events[-1] == until_contact(whole).events[-1]
+    assert run.statistics["steps"] < 0.9 * whole.statistics["steps"]
+    assert run.statistics["samples"] == len(run) + 1
+    cached = cs.run_scene(scene, tmp_path)
+    again = cs.run_scene(scene, tmp_path)
+    for found in (cached, again, read_run(tmp_path / scene.fingerprint()[:20])):
+        assert np.array_equal(found.x, run.x)
+        assert np.array_equal(found.eta, run.eta)
+        assert found.events == run.events
+        assert found.label == scene.name
+
+
+def test_until_contact_is_checked():
+    assert facing(None).fingerprint() != facing().fingerprint()
+    assert "until" not in facing(None).canonical()
+    assert all(c.until is None for c in alone_scenes(facing()))
+    with pytest.raises(cs.SceneError, match="until"):
+        facing("tired")
+    lone = facing()
+    with pytest.raises(cs.SceneError, match="at least two cells, got 1"):
+        cs.Scene.parse(tomllib.loads(TINY) | {"until": "contact"})
+    with pytest.raises(cs.SceneError, match="until must be"):
+        dataclasses.replace(lone, until="tired")
+    with pytest.raises(ParameterError, match="cannot end it on a condition"):
+        cs.simulate(
+            cs.build(lone), cs.DOP853(rtol=1e-3, atol=1e-6), lone.times, until=lambda t, x: True
+        )
