@@ -2,20 +2,23 @@
 
 The plant steps by its own dt; the heading turns by the exact law for the mean sensed direction of
 the step, and drives the plant from half-way through it: second order in dt in the coupling, exact
-in each part.
+in each part. The error of the coupling is estimated by the run of `substeps`.
 """
 
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from cellsys.errors import DataError, ParameterError
+from cellsys.integrate.estimate import estimate_by
 from cellsys.loop.loop_system import model_error
 from cellsys.loop.polarity import PolarityLaw
+from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.reduction.equivariant.dynamics import CellState
 from cellsys.reduction.equivariant.forecast import watched
 from cellsys.reduction.equivariant.model import EquivariantModel
@@ -83,19 +86,21 @@ class ScheduledLoop:
         drive = np.broadcast_to(np.asarray(amplitude, dtype=float), (K,))
         if not np.all(np.isfinite(drive)):
             raise DataError("amplitude holds NaN or inf")
-        z, p = np.empty((K + 1, self.order)), np.empty((K + 1, 3))
-        z[0], p[0] = self.z0, self.p0
         began = clock.perf_counter()
-        for k in range(K):
-            z[k + 1], p[k + 1] = self._step(z[k], p[k], k * dt, float(drive[k]))
+        z, p = self._run(drive, self._step)
         d = self.sensor.direction(z)
         heading = np.arctan2(p[:-1, 1], p[:-1, 0])
         states = Layout(
             [Block("z", (self.order,)), Block("p", (3,), "1", "controller", "internal")]
         )
+        x = np.concatenate([z, p], axis=1)[steps]
+
+        def better() -> np.ndarray:
+            return np.concatenate(self._run(drive, self._finer_steps()), axis=1)[steps]
+
         return Trajectory(
             t,
-            np.concatenate([z, p], axis=1)[steps],
+            x,
             states,
             p=p[steps][:, None],
             d=d[steps][:, None],
@@ -103,7 +108,33 @@ class ScheduledLoop:
             statistics={"steps": K, "wall_time": clock.perf_counter() - began},
             label="closed loop, equivariant",
             model_error=model_error(self.model),
+            estimator=estimate_by(x, better, f"heading in {SUBSTEPS} sub-steps"),
         )
+
+    def _run(self, drive: np.ndarray, step: Callable) -> tuple[np.ndarray, np.ndarray]:
+        """States (K + 1, m) and polarities (K + 1, 3) under the amplitudes (K,)."""
+        K = len(drive)
+        z, p = np.empty((K + 1, self.order)), np.empty((K + 1, 3))
+        z[0], p[0] = self.z0, self.p0
+        for k in range(K):
+            z[k + 1], p[k + 1] = step(z[k], p[k], k * self.model.dt, float(drive[k]))
+        return z, p
+
+    def _finer_steps(self) -> Callable:
+        """A step like `_step` with the heading followed inside it; for one run."""
+        dt, law, last = self.model.dt, self.controller, None
+
+        def step(z: np.ndarray, p: np.ndarray, t: float, amplitude: float) -> tuple:
+            nonlocal last
+            now, (ahead, _) = self.sensor.direction(z), self._step(z, p, t, amplitude)
+            for _ in range(2):
+                three = (last, now, self.sensor.direction(ahead))
+                angles, end = headings_inside(law.step, p, three, dt)
+                ahead = self._moved(z, angles, t, amplitude)
+            last = now
+            return ahead, end
+
+        return step
 
     def _step(
         self, z: np.ndarray, p: np.ndarray, t: float, amplitude: float
@@ -118,10 +149,14 @@ class ScheduledLoop:
         return self._plant(z, law.step(p, mean, 0.5 * dt), t, amplitude), law.step(p, mean, dt)
 
     def _plant(self, z: np.ndarray, p: np.ndarray, t: float, amplitude: float) -> np.ndarray:
+        return self._moved(z, np.arctan2(p[1:2], p[:1]), t, amplitude)
+
+    def _moved(self, z: np.ndarray, angles: np.ndarray, t: float, amplitude: float) -> np.ndarray:
+        """z after a step under the mean of the harmonics of these headings."""
         dynamics = self.model.dynamics
         state, w = dynamics.split(z), dynamics.clock.weights(t)
-        heading = np.asarray(np.arctan2(p[1], p[0]))
-        features = dynamics.features(np.asarray(amplitude), heading)
+        drive = np.full(len(angles), amplitude)
+        features = [f.mean(axis=0) for f in dynamics.features(drive, angles)]
         x = dynamics.advance(state, features, w)
         moved = dynamics.moved(state.x[1], x[1], features[1], w)
         return dynamics.join(CellState(tuple(x), state.place + moved))

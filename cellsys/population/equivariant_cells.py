@@ -15,9 +15,11 @@ import numpy as np
 
 from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError, ParameterError
+from cellsys.integrate.estimate import EULER, estimate_by
 from cellsys.integrate.simulate import check_times
 from cellsys.loop import PolarityLaw
 from cellsys.loop.loop_system import model_error
+from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.population.field_sensor import FieldSensor
 from cellsys.population.headings import turn
 from cellsys.population.load_ports import PortedCells
@@ -28,6 +30,8 @@ from cellsys.reduction.equivariant.forecast import watched
 from cellsys.reduction.equivariant.on_field import CellsOnField
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
+
+FINER = f"two steps of the field for one, heading in {SUBSTEPS} sub-steps"
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,41 +179,17 @@ class EquivariantCells(Drawable):
         p = np.array(np.broadcast_to(np.asarray(p0, float), (K, 3)))
         if not np.all(np.isfinite(p)) or np.any(np.hypot(p[:, 0], p[:, 1]) == 0):
             raise ParameterError("p0 must be finite and have a heading for every cell")
-        loop = _Loop(law, self.normalise)
         whole = CellsOnField(self.model, self.coupling.field, tolerance=tolerance)
         state = whole.start(self.coupling.positions[:, :2], z0)
-        memory, rows, most = self.coupling.field.memory(), [], 0
-        watch, angles = getattr(self.model, "monitor", None) is not None, np.empty((steps, K))
-        every = [self.model.dynamics.join(state.cells)]
+        begin = (whole, state, p, amplitude, heading, law, times[0], set(marks.tolist()))
         began = clock.perf_counter()
-
-        def record() -> None:
-            z = self.model.dynamics.join(state.cells)
-            rows.append((z, state.q, p.copy(), self._sensed(state, p)))
-
-        record()
-        wanted = set(marks[1:].tolist())
-        for k in range(steps):
-            if law is not None:
-                p = turn(loop, p, self._sensed(state, p), 0.5 * dt)
-            angle = np.arctan2(p[:, 1], p[:, 0]) if heading is None else heading[k]
-            angles[k] = angle
-            state, used = whole.step(state, amplitude[k], angle, times[0] + k * dt, memory)
-            most = max(most, used)
-            if watch:
-                every.append(self.model.dynamics.join(state.cells))
-            if law is not None:
-                p = turn(loop, p, self._sensed(state, p), 0.5 * dt)
-            elif heading is not None:
-                p = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(K)])
-            if k + 1 in wanted:
-                record()
+        rows, every, angles, most = self._run(*begin)
         z, q, p_all, d_all = (
             None if rows[0][i] is None else np.array([r[i] for r in rows]) for i in range(4)
         )
         T = len(times)
         events = []
-        if watch:
+        if getattr(self.model, "monitor", None) is not None:
             when, path = times[0] + dt * np.arange(steps + 1), np.array(every)
             for c in range(K):
                 who = f"cell{c + 1}"
@@ -221,9 +201,15 @@ class EquivariantCells(Drawable):
             Block("field.modes", (q.shape[1],), "um", "field"),
             Block("p", (K, 3), "1", "controller", "internal"),
         ]
+        x = np.column_stack([z.reshape(T, -1), q, p_all.reshape(T, -1)])
+
+        def better() -> np.ndarray:
+            rows = self._run(*begin, finer=True)[0]
+            return np.array([np.concatenate([z.ravel(), q, p.ravel()]) for z, q, p, _ in rows])
+
         return Trajectory(
             times,
-            np.column_stack([z.reshape(T, -1), q, p_all.reshape(T, -1)]),
+            x,
             Layout(blocks),
             p=p_all,
             d=d_all,
@@ -232,7 +218,59 @@ class EquivariantCells(Drawable):
             statistics={"steps": steps, "exchanges": most,
                         "wall_time": clock.perf_counter() - began},
             label=f"{K} equivariant cells on one field",
+            estimator=estimate_by(x, better, FINER, share=EULER),
         )  # fmt: skip
+
+    def _run(
+        self,
+        whole: CellsOnField,
+        state: Any,
+        p: np.ndarray,
+        amplitude: np.ndarray,
+        heading: np.ndarray | None,
+        law: PolarityLaw | None,
+        t0: float,
+        wanted: set[int],
+        finer: bool = False,
+    ) -> tuple[list, list, np.ndarray, int]:
+        """Wanted samples (z, q, p, d), z of every step, headings (steps, K), most exchanges.
+
+        `finer`: two steps of the field for one, and the heading followed inside each step.
+        """
+        dt, join = self.model.dt, self.model.dynamics.join
+        loop, memory = _Loop(law, self.normalise), self.coupling.field.memory()
+        rows, every, angles, most = [], [join(state.cells)], np.empty(amplitude.shape), 0
+        steered, parts, last = law is not None and self.sensor is not None, 1 + finer, None
+
+        def move(p: np.ndarray, d: np.ndarray, h: float) -> np.ndarray:
+            return turn(loop, p, d, h)
+
+        d = self._sensed(state, p)
+        for k in range(len(amplitude)):
+            if k in wanted:
+                rows.append((join(state.cells), state.q, p, d))
+            half = move(p, d, 0.5 * dt) if steered else p
+            angle = np.arctan2(half[:, 1], half[:, 0]) if heading is None else heading[k]
+            angles[k] = angle
+            t, begin = t0 + k * dt, state
+            state, used = whole.step(begin, amplitude[k], angle, t, memory, parts)
+            most = max(most, used)
+            if not steered and heading is not None:
+                p = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(self.n_cells)])
+            end = self._sensed(state, half if steered else p)
+            if steered and finer:
+                inside, ahead = headings_inside(move, p, (last, d, end), dt)
+                state, _ = whole.step(begin, amplitude[k], inside, t, memory, parts)
+                last, p = d, ahead
+            elif steered:
+                p = move(half, end, 0.5 * dt)
+            # A sensor of the cell's own state does not look at p.
+            again = steered and (finer or isinstance(self.sensor, FieldSensor))
+            d = self._sensed(state, p) if again else end
+            every.append(join(state.cells))
+        if len(amplitude) in wanted:
+            rows.append((join(state.cells), state.q, p, d))
+        return rows, every, angles, most
 
     def _command(self, value: Any, name: str, steps: int, default: float) -> np.ndarray:
         value = default if value is None else value
@@ -277,6 +315,7 @@ class EquivariantCells(Drawable):
             d=run.d,
             statistics=run.statistics,
             label=run.label,
+            model_error=run.model_error,
             geometry={"matrix.rest": self.coupling.field.nodes},
         )
 

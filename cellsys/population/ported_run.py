@@ -9,9 +9,11 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.errors import DimensionError, IntegrationError, ParameterError
+from cellsys.integrate.estimate import estimate_by
 from cellsys.integrate.simulate import check_times
+from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.population.headings import commands, loop_of, sensed, turn
-from cellsys.population.simulation import SplitRun
+from cellsys.population.simulation import SplitRun, split_estimate
 from cellsys.reduction import LatentModel
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
@@ -84,43 +86,73 @@ def run_ported(
         raise DimensionError(f"q0 must be ({n},), got {q.shape}")
     if not all(np.all(np.isfinite(v)) for v in (z, q, p)):
         raise ParameterError("z0, q0 or p0 holds NaN or inf")
-    began, flow = clock.perf_counter(), PortFlow(cells)
-    x = np.concatenate([z.ravel(), q])
-    if cell.dt is None:
-        moving = SplitRun(cells, flow, loop, x, p, integrator)
-    else:
-        moving = _Steps(cells, flow, loop, x, p)
-    rows = [(moving.x, moving.p)]
-    for k in range(1, len(times)):
-        moving.advance(float(times[k - 1]), float(times[k]))
-        rows.append((moving.x, moving.p))
+    flow, start = PortFlow(cells), np.concatenate([z.ravel(), q])
+
+    def march(
+        integrator: Any, times: np.ndarray, finer: bool = False
+    ) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
+        """States (T, K m + n), polarities (T, K, 3) and statistics."""
+        if cell.dt is None:
+            moving = SplitRun(cells, flow, loop, start, p, integrator)
+        else:
+            moving = _Steps(cells, flow, loop, start, p, finer)
+        rows = [(moving.x, moving.p)]
+        for k in range(1, len(times)):
+            moving.advance(float(times[k - 1]), float(times[k]))
+            rows.append((moving.x, moving.p))
+        return *(np.array(v) for v in zip(*rows, strict=True)), moving.statistics
+
+    def whole(states: np.ndarray, headings: np.ndarray, _: Any) -> np.ndarray:
+        return states if loop is None else np.column_stack([states, headings.reshape(T, -1)])
+
+    began, T = clock.perf_counter(), len(times)
+    states, headings, statistics = march(integrator, times)
+    statistics["wall_time"] = clock.perf_counter() - began
     blocks = [Block("z", (K, m)), Block("q", (n,), "um", "field")]
-    states = np.array([x for x, _ in rows])
-    headings = directions = None
+    directions = None
     if loop is not None:
         blocks.append(Block("p", (K, 3), "1", "controller", "internal"))
-        headings = np.array([p for _, p in rows])
-        directions = np.array([sensed(loop, flow.sense(x)) for x, _ in rows])
-        states = np.column_stack([states, headings.reshape(len(rows), -1)])
+        directions = np.array([sensed(loop, flow.sense(x)) for x in states])
+    x = whole(states, headings, None)
+    if cell.dt is None:
+        estimator = split_estimate(
+            loop, integrator, times, x, lambda second, times: whole(*march(second, times))
+        )
+    else:
+        method = "the cells' own steps" if loop is None else f"heading in {SUBSTEPS} sub-steps"
+        estimator = estimate_by(x, lambda: whole(*march(None, times, finer=True)), method)
     return Trajectory(
         times,
-        states,
+        x,
         Layout(blocks),
-        p=headings,
+        p=None if loop is None else headings,
         d=directions,
-        statistics={**moving.statistics, "wall_time": clock.perf_counter() - began},
+        statistics=statistics,
         label=f"{K} cells on one field",
+        estimator=estimator,
     )
 
 
 class _Steps:
-    """Cells with a step of their own: midpoint exchange, commands held over each step."""
+    """Cells with a step of their own: midpoint exchange, commands held over each step.
 
-    def __init__(self, cells: Any, flow: PortFlow, loop: Any, x: np.ndarray, p: np.ndarray) -> None:
+    `finer`: the heading is followed inside each step and commands act by their means.
+    """
+
+    def __init__(
+        self,
+        cells: Any,
+        flow: PortFlow,
+        loop: Any,
+        x: np.ndarray,
+        p: np.ndarray,
+        finer: bool = False,
+    ) -> None:
+        self.finer, self.last = finer, None
         self.cells, self.flow, self.loop, self.x, self.p = cells, flow, loop, x, p
         self.dt = cells.model.dt
         self.limit = 1e100 * max(1.0, float(np.linalg.norm(x)))
-        self.statistics = {"steps": 0}
+        self.statistics: dict[str, Any] = {"steps": 0}
 
     def advance(self, t0: float, t1: float) -> None:
         """Move from t0 to t1, a whole number of steps."""
@@ -131,14 +163,11 @@ class _Steps:
             )
         still = np.zeros((self.cells.n_cells, self.flow.n_inputs))
         for i in range(round(count)):
-            c = still
-            if self.loop is not None:
-                c = commands(self.loop, self.p)
-                d = sensed(self.loop, self.flow.sense(self.x))
             with np.errstate(over="ignore", invalid="ignore"):
-                self.x = self.flow.M @ self.x + self.flow.drive @ np.append(c.ravel(), 1.0)
-            if self.loop is not None:
-                self.p = turn(self.loop, self.p, d, self.dt)
+                if self.loop is None:
+                    self.x = self._moved(still)
+                else:
+                    self._controlled()
             self.statistics["steps"] += 1
             if not np.linalg.norm(self.x) <= self.limit:
                 raise IntegrationError(
@@ -148,3 +177,25 @@ class _Steps:
                     state_norm=float(np.linalg.norm(self.x)),
                     step=self.dt,
                 )
+
+    def _moved(self, c: np.ndarray) -> np.ndarray:
+        return self.flow.M @ self.x + self.flow.drive @ np.append(c.ravel(), 1.0)
+
+    def _controlled(self) -> None:
+        """x and p a step later."""
+        d, ahead = self._sensed(self.x), self._moved(commands(self.loop, self.p))
+        if not self.finer:
+            self.x, self.p = ahead, turn(self.loop, self.p, d, self.dt)
+            return
+        for _ in range(2):
+            three = (self.last, d, self._sensed(ahead))
+            angles, p = headings_inside(self._turn, self.p, three, self.dt)
+            each = [commands(self.loop, np.stack([np.cos(a), np.sin(a)], axis=1)) for a in angles]
+            ahead = self._moved(np.mean(each, axis=0))
+        self.x, self.p, self.last = ahead, p, d
+
+    def _sensed(self, x: np.ndarray) -> np.ndarray:
+        return sensed(self.loop, self.flow.sense(x))
+
+    def _turn(self, p: np.ndarray, d: np.ndarray, h: float) -> np.ndarray:
+        return turn(self.loop, p, d, h)

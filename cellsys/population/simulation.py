@@ -13,17 +13,20 @@ controls the step. [Hairer, Lubich, Wanner 2006, II.4, V.2; Deuflhard 1983]
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from cellsys.errors import BudgetError, IntegrationError, ParameterError
+from cellsys.integrate.estimate import estimate_by, estimate_of
 from cellsys.integrate.simulate import available_memory, check_times, simulate
+from cellsys.loop.loop_system import model_error
 from cellsys.population.headings import commands, sensed, turn
 from cellsys.population.propagators import Propagators
 from cellsys.population.system import coupled_system, initial, rest_offset
 from cellsys.system import Block, Layout
-from cellsys.trajectory import Trajectory
+from cellsys.trajectory import ErrorEstimate, Trajectory
 
 _LARGEST = 1e100  # growth over the start at which a run is reported as unstable
 _HALVINGS = 40
@@ -38,38 +41,63 @@ def run(
         return _through_system(cells, times, integrator, z0, p0)
     K, m, loop = cells.n_cells, cells.order, cells.loop
     z, p = initial(cells, z0, p0)
-    T = len(times)
     width = K * (m + (3 if loop is not None else 0))
-    need = 8.0 * T * (width + (6 * K if loop is not None else 0))
+    need = 8.0 * len(times) * (width + (6 * K if loop is not None else 0))
     if need > available_memory():
         raise BudgetError(
-            f"{T} samples of {K} cells need {need / 1e9:.1f} GB of memory; sample less often"
+            f"{len(times)} samples of {K} cells need {need / 1e9:.1f} GB of memory; sample less "
+            "often"
         )
-    began = clock.perf_counter()
-    flow = ModalFlow(cells)
-    moving = SplitRun(cells, flow, loop, flow.start(z), p, integrator)
-    states = np.empty((T, width))
-    headings, directions = (
-        (np.empty((T, K, 3)), np.empty((T, K, 3))) if loop is not None else (None, None)
-    )
-    for k in range(T):
-        if k:
-            moving.advance(float(times[k - 1]), float(times[k]))
-        states[k, : K * m] = flow.emergent(moving.x).ravel()
-        if loop is not None:
-            states[k, K * m :] = moving.p.ravel()
-            headings[k], directions[k] = moving.p, moving.direction()
-        if progress is not None:
-            progress(k / max(T - 1, 1))
+
+    def march(
+        integrator: Any, times: np.ndarray, progress: Any = None
+    ) -> tuple[np.ndarray, Any, Any, dict[str, Any]]:
+        """States (T, width), headings, directions and statistics."""
+        moving = SplitRun(cells, flow, loop, flow.start(z), p, integrator)
+        T = len(times)
+        states = np.empty((T, width))
+        headings, directions = (
+            (np.empty((T, K, 3)), np.empty((T, K, 3))) if loop is not None else (None, None)
+        )
+        for k in range(T):
+            if k:
+                moving.advance(float(times[k - 1]), float(times[k]))
+            states[k, : K * m] = flow.emergent(moving.x).ravel()
+            if loop is not None:
+                states[k, K * m :] = moving.p.ravel()
+                headings[k], directions[k] = moving.p, moving.direction()
+            if progress is not None:
+                progress(k / max(T - 1, 1))
+        return states, headings, directions, moving.statistics
+
+    began, flow = clock.perf_counter(), ModalFlow(cells)
+    states, headings, directions, statistics = march(integrator, times, progress)
     return Trajectory(
         times,
         states,
         _layout(cells),
         p=headings,
         d=directions,
-        statistics={**moving.statistics, "wall_time": clock.perf_counter() - began},
+        statistics={**statistics, "wall_time": clock.perf_counter() - began},
         label=f"{K} coupled cells, {cells.coupling.name}",
+        estimator=split_estimate(
+            loop, integrator, times, states, lambda second, times: march(second, times)[0]
+        ),
+        model_error=model_error(cells.model),
     )
+
+
+def split_estimate(
+    loop: Any, integrator: Any, times: np.ndarray, x: np.ndarray, states: Callable
+) -> Callable[[], ErrorEstimate]:
+    """Estimate of a `SplitRun` of states x (T, n); ``states(integrator, times)`` runs it again.
+
+    Without controllers its flow is exact and what differs in two flows for one is rounding.
+    """
+    if loop is not None:
+        return estimate_of(integrator, x, lambda second: states(second, times), None)
+    halves = np.sort(np.concatenate([times, 0.5 * (times[1:] + times[:-1])]))
+    return estimate_by(x, lambda: states(integrator, halves)[::2], "exact flow, two for one")
 
 
 def _layout(cells: Any) -> Layout:
@@ -87,18 +115,28 @@ def _through_system(cells: Any, times: np.ndarray, integrator: Any, z0: Any, p0:
             "(DOP853, Radau or LSODA)"
         )
     system = coupled_system(cells, z0, p0)
-    found = simulate(system, integrator, times, auxiliaries=False)
     K, m = cells.n_cells, cells.order
-    z = np.array([system.whole.read(row[: K * m].reshape(K, m)).ravel() for row in found.x])
+
+    def states(run: Trajectory) -> np.ndarray:
+        z = np.array([system.whole.read(row[: K * m].reshape(K, m)).ravel() for row in run.x])
+        return np.column_stack([z, run.x[:, K * m :]])
+
+    def again(second: Any) -> np.ndarray:
+        return states(simulate(system, second, times, auxiliaries=False))
+
+    found = simulate(system, integrator, times, auxiliaries=False)
+    x = states(found)
     return Trajectory(
         times,
-        np.column_stack([z, found.x[:, K * m :]]),
+        x,
         _layout(cells),
         p=found.p,
         d=found.d,
         events=found.events,
         statistics=found.statistics,
         label=f"{K} coupled cells, {cells.coupling.name}",
+        estimator=estimate_of(integrator, x, again, None),
+        model_error=model_error(cells.model),
     )
 
 

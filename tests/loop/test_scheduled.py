@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import cellsys as cs
+from tests.reduction.equivariant.refined import reading, refined
 from tests.reduction.equivariant.runs import model
 
 
@@ -98,3 +99,22 @@ def test_frozen_time_family():
 
     upper, lower = bode_family(found)
     assert len(upper.lines) == len(lower.lines) == 2
+
+
+@pytest.mark.parametrize("gain", [0.02, 0.2, 1.0])
+@pytest.mark.parametrize("kappa", [1 / 60, 1 / 15])
+def test_the_estimate_covers_the_error_of_the_coupling(gain, kappa):
+    """Against the same plant with sixteen steps for one: the error itself, not a second guess."""
+    coarse, fine = refined(), refined(16)
+    p0, t = np.array([np.cos(2.0), np.sin(2.0), 0.0]), 10.0 * np.arange(61)
+    law, sensed = cs.PolarityLaw(kappa), reading(coarse, gain)
+    run = cs.closed_loop(coarse, controller=law, sensor=sensed, p0=p0).simulate(t)
+    exact = cs.closed_loop(fine, controller=law, sensor=sensed, p0=p0).simulate(t)
+    error, told = np.abs(run.x - exact.x).max(axis=0), run.error
+    n = coarse.order
+    for part in (slice(n), slice(n, None)):
+        assert error[part].max() <= told.absolute[part].max() <= 20 * error[part].max()
+    assert error.max() > 1e-4  # there is an error to be found
+    text = str(run)
+    assert "integrator's error" in text
+    assert "heading in 8 sub-steps" in text

@@ -20,6 +20,8 @@ from cellsys.reduction.equivariant.port import PolarPort, PortSites
 from cellsys.reduction.equivariant.schedule import Clock
 from cellsys.reduction.field import GalerkinField
 from cellsys.system import Layout
+from tests.reduction.equivariant.refined import reading, refined
+from tests.reduction.equivariant.runs import scene
 from tests.study.scenes import TINY
 
 ORDERS = (3, 4, 2, 1, 1, 1)  # latent states of charges 0 to 5
@@ -226,3 +228,26 @@ def test_refusals(field):
     with pytest.raises(DimensionError, match="differ"):
         couple(m, 3, LoadPorts(field, PAIR))
     assert "equivariant cells" in str(found)
+
+
+@pytest.mark.parametrize("linear", [True, False])
+def test_the_estimate_covers_the_error_of_stepping(linear):
+    """Against the same cells and field with sixteen steps for one."""
+    coarse, fine = refined(), refined(16)
+    small = GalerkinField(cs.build(scene()), order=40, linear=linear, places=20)
+    law, sensed = PolarityLaw(1 / 30), reading(coarse, 0.2)
+    heads, t = np.array([2.0, -1.0]), 10.0 * np.arange(31)
+
+    def run(m):
+        found = cells(m, small, PAIR, heads, controller=law, sensor=sensed)
+        return found.simulate(t)
+
+    coarse_run, exact = run(coarse), run(fine)
+    error, told = np.abs(coarse_run.x - exact.x).max(axis=0), coarse_run.error
+    for block in coarse_run.states:
+        part = coarse_run.states.slice(block.name)
+        assert error[part].max() <= told.absolute[part].max() <= 20 * error[part].max(), block.name
+    assert error[coarse_run.states.slice("field.modes")].max() > 1e-4
+    assert "two steps of the field" in str(coarse_run)
+    following = cells(coarse, small, PAIR).simulate(t, heading=np.zeros((30, 2)))
+    assert 0 < following.error.relative < 1

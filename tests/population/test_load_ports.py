@@ -14,7 +14,9 @@ from cellsys.errors import (
     RepresentationError,
 )
 from cellsys.integrate import DOP853
+from cellsys.loop import PolarityLaw
 from cellsys.population import CellPort, LinearField, LoadPorts, PatchPort, couple
+from cellsys.population.ported_run import PortFlow, _Steps, ported_loop
 from cellsys.reduction import StiffnessSensor
 from cellsys.response import poles
 from tests.population.systems import HEADINGS, match, model
@@ -306,3 +308,46 @@ def test_index_of_many_loads_is_that_of_the_whole_response():
             least.append(np.linalg.eigvalsh(0.5 * (H + H.conj().T))[0])
             gain.append(np.linalg.norm(H, 2))
         assert abs(port.passivity().index - min(least) / max(gain)) < 1e-13
+
+
+def test_the_estimate_covers_the_error_of_steps():
+    """Against the same whole with sixteen steps for one: its power 1/16, the same held answer."""
+    x, theta = places(3, 5)
+    plant, law = cell(m=3, dt=2.0, steered=True), PolarityLaw(1 / 60)
+    cells = couple(plant, coupling=LoadPorts(field(), x, theta, PORT), controller=law)
+    t = 2.0 * np.arange(101)
+    run = cells.simulate(t, z0=np.ones(3))
+    flow, parts = PortFlow(cells), 16
+    root = np.real(sla.fractional_matrix_power(flow.M, 1 / parts))
+    assert np.abs(np.linalg.matrix_power(root, parts) - flow.M).max() < 1e-9
+    held = sum(np.linalg.matrix_power(root, i) for i in range(parts))
+    flow.M, flow.drive = root, np.linalg.solve(held, flow.drive)
+    start = np.concatenate([np.ones(9), np.zeros(cells.coupling.field.order)])
+    p0 = np.column_stack([np.cos(theta), np.sin(theta), np.zeros(3)])
+    fine = _Steps(cells, flow, ported_loop(cells), start, p0)
+    fine.dt = 2.0 / parts
+    error = np.zeros(run.x.shape[1])
+    for k in range(1, len(t)):
+        fine.advance(t[k - 1], t[k])
+        miss = np.abs(run.x[k] - np.concatenate([fine.x, fine.p.ravel()]))
+        error = np.maximum(error, miss)
+    for block in run.states:
+        part = run.states.slice(block.name)
+        assert error[part].max() > 1e-4
+        assert error[part].max() <= run.error.absolute[part].max() <= 20 * error[part].max()
+    assert "heading in 8 sub-steps" in str(run)
+
+
+@pytest.mark.parametrize("steered", [True, False])
+def test_the_estimate_covers_the_error_of_the_integrator(steered):
+    x, theta = places(3, 5)
+    cells = couple(cell(m=3, steered=steered), coupling=LoadPorts(field(), x, theta, PORT))
+    t = np.linspace(0, 240, 7)
+    run, exact = (cells.simulate(t, DOP853(rtol=r, atol=r), z0=np.ones(3)) for r in (1e-4, 1e-11))
+    error, told = np.abs(run.x - exact.x).max(), run.error.absolute.max()
+    if steered:
+        assert error <= told <= 20 * error
+        assert "a tenth of the tolerance" in str(run)
+    else:  # an exact flow, whatever the tolerance
+        assert told < 1e-11
+        assert "exact flow" in str(run)

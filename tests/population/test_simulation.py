@@ -271,3 +271,29 @@ def test_memory_grows_linearly_with_the_cells():
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 6 * peaks[0]
+
+
+@pytest.mark.parametrize("graph", [False, True])
+def test_the_estimate_covers_the_error(graph):
+    """On the modal route, and on the dense one that the integrator takes as a whole."""
+    weights = np.array([[0.0, 0.2, 0.1], [0.3, 0.0, 0.1], [0.0, 0.2, 0.0]])
+    how = {"graph": InteractionGraph(weights)} if graph else {"n_cells": 3}
+    t, ratios = np.linspace(0, 200, 9), []
+    for seed in range(8):
+        cells = couple(model(m=4, steered=True, seed=seed), headings=[0.0, 1.0, 2.0], **how)
+        assert (cells.modes is None) == graph
+        exact = cells.simulate(t, DOP853(rtol=1e-11, atol=1e-11)).x
+        for tol in (1e-4, 1e-6):
+            run = cells.simulate(t, DOP853(rtol=tol, atol=tol))
+            ratios.append(run.error.absolute.max() / np.abs(run.x - exact).max())
+            assert "a tenth of the tolerance" in str(run)
+    assert np.mean(np.array(ratios) >= 1) >= 0.9
+    assert 0.5 < min(ratios)
+    assert max(ratios) < 20
+
+
+def test_without_controllers_only_rounding_is_estimated():
+    cells = couple(model(m=4, seed=1), 3)
+    run = cells.simulate(np.linspace(0, 1e4, 5), z0=np.ones(4))
+    assert run.error.relative < 1e-10
+    assert "exact flow" in str(run)

@@ -429,3 +429,15 @@ def test_bad_arguments_are_refused():
         f.plant(f.surface[:1], output="power")
     with pytest.raises(ParameterError, match="order"):
         f.truncated(f.order + 1)
+
+
+@pytest.mark.parametrize("linear", [True, False])
+def test_the_estimate_covers_the_error_of_its_steps(linear):
+    f = field(linear=linear)
+    loads = f.project(patch_loads(f, 6, 3).mean(axis=0, keepdims=True))[0]
+    held = np.repeat(loads[None], 12, axis=0)
+    run = f.simulate(held, 10.0)
+    fine = f.simulate(np.repeat(held, 64, axis=0), 10.0 / 64).x[::64]
+    error = np.abs(run.x - fine).max()
+    assert error <= run.error.absolute.max() <= 20 * error
+    assert "half the step" in str(run)

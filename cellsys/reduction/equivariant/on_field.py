@@ -127,8 +127,12 @@ class CellsOnField:
         heading: np.ndarray,
         t: float,
         memory: Any = None,
+        parts: int = 1,
     ) -> tuple[PortedState, int]:
         """One step from t under amplitude and heading (K,); returns the exchanges it took.
+
+        A heading (n, K) acts by the means of its harmonics. The field takes `parts` steps under
+        the same loads.
 
         Raises
         ------
@@ -137,7 +141,9 @@ class CellsOnField:
         """
         dynamics, dt = self.model.dynamics, self.model.dt
         w = dynamics.clock.weights(t)
-        features = dynamics.features(amplitude, heading)
+        features = dynamics.features(np.broadcast_to(amplitude, heading.shape), heading)
+        if heading.ndim == 2:
+            features = [f.mean(axis=0) for f in features]
         free = dynamics.advance(state.cells, features, w)
         under = self.footprints(state)
 
@@ -153,7 +159,7 @@ class CellsOnField:
             q = None
             rate = state.rate
             if load is not None:
-                q, _ = self.field.step(state.q, load, dt, memory=memory, t=t)
+                q = self._field(state.q, load, t, memory, parts)
                 rate = (q - state.q) / dt
             x = self._ported(free, self._gather(under, rate), w)
             return q, x, self._project(under, pulls(x))
@@ -161,7 +167,7 @@ class CellsOnField:
         if self.cascade:
             # The loads do not depend on what they do to the field: one pass is exact.
             load = self._project(under, pulls(free))
-            q, _ = self.field.step(state.q, load, dt, memory=memory, t=t)
+            q = self._field(state.q, load, t, memory, parts)
             x, exchanges = free, 1
         else:
             load, exchanges = answer(None)[2], 1
@@ -186,6 +192,14 @@ class CellsOnField:
         moved = dynamics.moved(state.cells.x[1], x[1], features[1], w, ridden)
         cells = CellState(tuple(x), state.cells.place + moved)
         return PortedState(cells, q, rate), exchanges
+
+    def _field(
+        self, q: np.ndarray, load: np.ndarray, t: float, memory: Any, parts: int
+    ) -> np.ndarray:
+        h = self.model.dt / parts
+        for i in range(parts):
+            q, _ = self.field.step(q, load, h, memory=memory, t=t + i * h)
+        return q
 
     def _ported(
         self, free: list[np.ndarray], y: dict[int, np.ndarray], w: np.ndarray
