@@ -13,33 +13,12 @@ import numpy as np
 import pytest
 
 import cellsys
-from cellsys import cli
 from cellsys.loop import PolarityLaw
 from cellsys.reduction import LatentModel, LeastSquares, StiffnessSensor, reduce, snapshots
 from cellsys.scene import Scene, run_scene
 from cellsys.store import save_archive
 from tests.loop.systems import NAMES, make
 from tests.study.scenes import TINY, tiny
-
-
-@pytest.fixture
-def call(monkeypatch, capsys, tmp_path):
-    """Run ``cellsys ...`` in this process, in an empty folder: (exit code, stdout, stderr)."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["cellsys", *map(str, arguments)])
-        capsys.readouterr()
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code or 0
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return run
 
 
 def refused(result, words, code=2):

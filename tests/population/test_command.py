@@ -1,33 +1,11 @@
 """`cellsys couple` and the figures of coupled cells."""
 
 import json
-import sys
 
 import numpy as np
-import pytest
 
-from cellsys import cli
 from cellsys.population import Feedback, couple
 from tests.population.systems import model
-
-
-@pytest.fixture
-def call(monkeypatch, capsys, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["cellsys", *map(str, arguments)])
-        capsys.readouterr()
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code or 0
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return run
 
 
 def test_couple_command(call, tmp_path):
