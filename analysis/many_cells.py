@@ -214,20 +214,20 @@ def compare(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> dict:
 def until_touch(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> None:
     """Facing cells: when they touch, full-order and reduced, and what they do until then."""
     full, moved = cs.run_ensemble([scene, shifted(scene)], folder)
-    ends = []
+    ends, whole = [], dataclasses.replace(scene, until=None)
     scene = dataclasses.replace(scene, duration=float(full.t[-1]), until=None)
     singles = cs.run_ensemble(cs.alone_scenes(scene), folder)
     full, moved, *singles = (on_grid(r, model.dt) for r in (full, moved, *singles))
     system = cs.build(scene)
-    small, took = reduced(model, dataclasses.replace(scene, duration=model.horizon),
-                          cs.full_field(system), [0, 1])  # fmt: skip
+    small, took = reduced(model, whole, cs.full_field(system), [0, 1])
     for name, run in (("full-order", full), ("shifted by 5 nm", moved),
                       ("reduced", cs.until_contact(small))):  # fmt: skip
         touch = [e for e in run.events if e.name == "contact"]
         end = f"{touch[0].detail} touch at {touch[0].time:.0f} s" if touch else "no contact"
         gap = cs.edge_gap(run)
         ends.append(f"{name}: {end}, gap {gap[0]:.1f} -> {gap[-1]:.1f} um")
-    print(f"\n{scene.name}, reduced in {took:.1f} s\n  " + "\n  ".join(ends))
+    print(f"\n{scene.name}, reduced in {took:.1f} s (trained for {model.horizon:g} s)\n  "
+          + "\n  ".join(ends))  # fmt: skip
     count = min(len(full), len(small), len(moved))
     print(f"  until {full.t[count - 1]:.0f} s, reduced: "
           f"{misses(first(small, count), first(full, count))}")  # fmt: skip

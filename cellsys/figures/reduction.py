@@ -97,12 +97,16 @@ def error_against_time(sweep: Any, ax: Any = None) -> Any:
         ax.plot(
             [1e-3 * r.roll_out_ms for r in rows],
             [r.error["cells"] for r in rows],
-            "o",
+            "o-",
+            lw=0.7,
             color=COLOURS.get(method),
             label=method,
         )
-        for r in rows:
-            ax.annotate(f" {r.order}", (1e-3 * r.roll_out_ms, r.error["cells"]), fontsize="small")
+        # The orders between lie on the line: their labels would hide each other.
+        for r, side in zip(rows[:1] + rows[1:][-1:], ("right", "left"), strict=False):
+            place = (1e-3 * r.roll_out_ms, r.error["cells"])
+            ax.annotate(f"  m = {r.order}  ", place, fontsize="small", ha=side, va="center",
+                        color=COLOURS.get(method))  # fmt: skip
     ax.axvline(sweep.full_order_s, color="k", lw=1)
     ax.text(
         sweep.full_order_s,
@@ -119,6 +123,7 @@ def error_against_time(sweep: Any, ax: Any = None) -> Any:
         xlabel=f"wall time of {sweep.horizon_s:g} s (s)",
         ylabel="error on cells / their motion",
     )
+    ax.margins(x=0.2)
     ax.legend(fontsize="small")
     ax.grid(alpha=0.3, which="both")
     return ax
