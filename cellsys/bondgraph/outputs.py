@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ from cellsys.bondgraph.elements import C, CField, I, Internal, NodalEffort, R, S
 from cellsys.bondgraph.graph import BondGraph, Port, is_matrix
 from cellsys.bondgraph.quantities import dimension_of, read, state_units
 from cellsys.errors import DimensionError, ParameterError
-from cellsys.system import Block
+from cellsys.system import Block, Layout
 
 
 @dataclass(frozen=True)
@@ -140,15 +141,20 @@ def unit_of(graph: BondGraph, output: Output) -> str:
     return state_units(graph.domains[port.bond], graph.units)[0 if output.quantity == EFFORT else 1]
 
 
-def auxiliary_of(graph: BondGraph, output: Output) -> Block:
-    """Block of an output that is an auxiliary; its role is that of the array it acts on."""
+def auxiliaries_of(graph: BondGraph, outputs: Sequence[Output]) -> Layout:
+    """Blocks of outputs that are auxiliaries; the role of each is that of the array it acts on."""
+    roles = {}
+    for name, bonds in graph.junction_bonds.items():
+        position = getattr(graph.by_name[name], "position", None)
+        if isinstance(position, Block):
+            roles |= {bond: position.role for bond, _ in bonds}
+    return Layout([_auxiliary(graph, output, roles) for output in outputs])
+
+
+def _auxiliary(graph: BondGraph, output: Output, roles: Mapping[int, str]) -> Block:
     if output.kind == "rate":
         block = graph.by_name[output.name].block
         return Block(f"{block.name}.rate", block.shape, f"{block.unit}/s", block.role, "internal")
     port = graph.ports[output.index]
-    role = "component"
-    for name, bonds in graph.junction_bonds.items():
-        position = getattr(graph.by_name[name], "position", None)
-        if isinstance(position, Block) and any(b == port.bond for b, _ in bonds):
-            role = position.role
+    role = roles.get(port.bond, "component")
     return Block(output.name, output.shape, unit_of(graph, output), role, "rate")

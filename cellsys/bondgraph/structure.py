@@ -25,7 +25,7 @@ from cellsys.bondgraph.elements import C, CField, I, Internal, One
 from cellsys.bondgraph.graph import BondGraph, Port, is_matrix
 from cellsys.bondgraph.outputs import (
     Output,
-    auxiliary_of,
+    auxiliaries_of,
     input_sign,
     output_sign,
     outputs_of,
@@ -73,7 +73,7 @@ def build(graph: BondGraph, causality: Causality, *, literal: bool) -> Structure
             inner[port.name] = source[bond_place[port.bond]] * input_sign(port, output.quantity)
     states, x0, rate, state_of = _states(graph, outputs, inner, flow, bond_place, width)
     eta_outputs = [o for o in outputs if o.kind in ("law", "rate")]
-    auxiliaries = Layout([auxiliary_of(graph, o) for o in eta_outputs])
+    auxiliaries = auxiliaries_of(graph, eta_outputs)
     sources = [o for o in outputs if o.kind == "source"]
     inputs = Layout([Block(o.name, o.shape, unit_of(graph, o), "controller") for o in sources])
 

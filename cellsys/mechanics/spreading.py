@@ -75,7 +75,8 @@ def build_spreading(
 
             elements.append(polarity_element(replace(own, built=tuple(elements))))
     attach("cells", effects, whole)
-    arrays = [held(array, elements) for array in arrays]
+    holding = [e for e in elements if e.holds]
+    arrays = [held(array, holding) for array in arrays]
     attach("scene", effects, whole)
     return SpreadingSystem(cells, matrix, tuple(elements), tuple(arrays))
 
@@ -191,7 +192,7 @@ class SpreadingSystem(OverdampedSystem):
             ("_cholesky", {}),
         ):
             object.__setattr__(self, name, value)
-        index = {a: np.arange(states.size)[piece].reshape(-1, 3) for a, piece, _ in self._nodes}
+        index = {a: np.arange(p.start, p.stop).reshape(-1, 3) for a, p, _ in self._nodes}
         object.__setattr__(self, "_index", index)
 
     def nodes_of(self, array: str) -> int:

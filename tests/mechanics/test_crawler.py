@@ -338,7 +338,7 @@ def test_a_thousand_random_parameter_sets():
         (lambda: Chain(nodes=1), ParameterError, "nodes must be"),
         (lambda: Chain(drag=-1.0), ParameterError, "drag must be > 0"),
         (lambda: build_crawlers([]), SceneError, "at least one cell"),
-        (lambda: build_crawlers([Crawler(lead_node=60)]), SceneError, "chain has nodes 1..40"),
+        (lambda: build_crawlers([Crawler(lead_node=60)]), SceneError, "chain.s nodes 1..40"),
         (
             lambda: build_crawlers([Crawler(), Crawler(trail_node=7, lead_node=12)]),
             SceneError,
