@@ -112,7 +112,7 @@ MISTAKES = [
     ("cells.1.polarity", "0 deg", "cells[1]: Crawler.lead_node = 33 must lie ahead"),
     ("cells.0.mass", "0 pN s^2/um", "cells[0]: Crawler.mass must be > 0"),
     ("cells.0.grab", "nan um", "grab"),
-    ("cells.1.trail_node", 41, "must be one of the chain.s nodes 1..40"),
+    ("cells.1.trail_node", 41, "must be one of the chain's nodes 1..40"),
     ("cells.0.lead_node", 33, "cell1 and cell2 overlap on nodes 33..33"),
     ("cells", [], "at least one cell"),
     ("effects.draag", {}, "did you mean 'drag'"),

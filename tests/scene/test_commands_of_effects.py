@@ -11,7 +11,7 @@ from cellsys.scene.listing import effect_list, scene_effects
 from cellsys.scene.registry import LISTED
 from cellsys.study.leave_one_out import Worth, leave_one_out
 from tests.mechanics.small_scenes import tiny
-from tests.test_cli import call, refused  # noqa: F401
+from tests.test_cli import refused
 
 SMALL = (
     'extends = "isolated_membrane"\nduration = "10 s"\n[[cells]]\nposition = ["0 um", "0 um"]\n'
