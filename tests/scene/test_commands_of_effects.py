@@ -26,7 +26,7 @@ def scene_file(tmp_path):
     return path
 
 
-def test_all_effects_are_listed_with_needs_units_and_sources(call):  # noqa: F811
+def test_all_effects_are_listed_with_needs_units_and_sources(call):
     code, out, _ = call("effects")
     assert code == 0
     for name in LISTED:
@@ -40,7 +40,7 @@ def test_all_effects_are_listed_with_needs_units_and_sources(call):  # noqa: F81
     assert {r["effect"] for r in json.loads(out)} == set(LISTED)
 
 
-def test_a_scene_is_listed_with_what_it_builds_and_its_shares(call, tmp_path):  # noqa: F811
+def test_a_scene_is_listed_with_what_it_builds_and_its_shares(call, tmp_path):
     import tomllib
 
     text = 'extends = "isolated_membrane"\n[effects]\nnucleus = {}\n'
@@ -67,7 +67,7 @@ def test_clamped_columns_do_not_act():
     assert 0 < rows["foundation"]["columns of W_eta"] < rows["foundation"]["auxiliaries"]
 
 
-def test_leave_one_out_tells_what_each_effect_changes(call, scene_file):  # noqa: F811
+def test_leave_one_out_tells_what_each_effect_changes(call, scene_file):
     code, out, err = call("effects", "small.toml", "--measure", "--json")
     assert (code, err) == (0, "")
     result = json.loads(out)
@@ -94,14 +94,14 @@ def test_leave_one_out_compares_the_right_runs():
     assert text.startswith("cortical tension: 12 % of the time, changes spreading by 18 %")
 
 
-def test_bad_input_of_effects_is_one_line(call, scene_file):  # noqa: F811
+def test_bad_input_of_effects_is_one_line(call, scene_file):
     refused(call("effects", "--measure"), "needs a scene")
     refused(call("effects", "small.toml", "--measure", "--duration", -1), "must be >= 0")
     refused(call("effects", "smal"), "no scene file 'smal' and no preset")
     refused(call("effects", "crawler", "--measure"), "has no effects to leave out")
 
 
-def test_sweep_runs_once_and_writes_a_table(call, scene_file, tmp_path):  # noqa: F811
+def test_sweep_runs_once_and_writes_a_table(call, scene_file, tmp_path):
     arguments = (
         "sweep", "small.toml", "--set", "effects.cortical_tension.tension=0 pN/um, 200 pN/um",
         "--set", "seed=1", "--json",
@@ -124,7 +124,7 @@ def test_sweep_runs_once_and_writes_a_table(call, scene_file, tmp_path):  # noqa
     assert "table: elsewhere" in out
 
 
-def test_a_wrong_sweep_runs_nothing(call, scene_file, tmp_path):  # noqa: F811
+def test_a_wrong_sweep_runs_nothing(call, scene_file, tmp_path):
     for setting, words in (
         ("effects.volume.modulos=1 Pa", "did you mean 'modulus'"),
         ("effects.volume.modulus", "must read key=value"),
@@ -135,7 +135,7 @@ def test_a_wrong_sweep_runs_nothing(call, scene_file, tmp_path):  # noqa: F811
 
 
 @pytest.mark.slow
-def test_a_sweep_by_two_processes_gives_the_same_table(call, scene_file):  # noqa: F811
+def test_a_sweep_by_two_processes_gives_the_same_table(call, scene_file):
     one, two = (
         call("sweep", "small.toml", "--set", "effects.volume.modulus=100 Pa,300 Pa",
              "--jobs", jobs, "-o", f"by{jobs}", "--json")
