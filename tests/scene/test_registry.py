@@ -376,9 +376,9 @@ def test_mutated_scenes_are_accepted_or_refused_with_key_value_and_cure(data):
             place[name] = place.pop(path[-1])
         elif kind == "add" and isinstance(place, dict):
             name = data.draw(st.sampled_from(KEYS))
-            place[name] = data.draw(VALUES)
+            place[name] = copy.deepcopy(data.draw(VALUES))
         else:
-            value = data.draw(VALUES)
+            value = copy.deepcopy(data.draw(VALUES))
             if value is None:
                 del place[path[-1]]
             else:
