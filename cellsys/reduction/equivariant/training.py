@@ -20,6 +20,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.errors import ParameterError
+from cellsys.reduction.equivariant.training_kernels import backward, forward
 
 SPREAD = 10.0  # greatest stretch of the learned norm against the whitened one
 
@@ -111,28 +112,28 @@ def one_step(data: ChargeData, ridge: float, bound: float) -> ChargeParameters:
 
 def roll_out(p: ChargeParameters, data: ChargeData) -> np.ndarray:
     """x (K + 1, R, m) from the first samples."""
-    A, drive = _step_terms(p, data)
-    x = np.empty_like(data.x)
-    x[0] = data.x[0]
-    for k in range(len(A)):
-        np.matmul(x[k], A[k].T, out=x[k + 1])
-        x[k + 1] += drive[k]
+    return _rolled(*_step_terms(p, data), data)
+
+
+def _rolled(A: np.ndarray, drive: np.ndarray, data: ChargeData) -> np.ndarray:
+    x = np.concatenate([data.x[:1], drive])
+    forward(np.ascontiguousarray(A.transpose(0, 2, 1)), x)
     return x
 
 
 def loss_and_gradient(p: ChargeParameters, data: ChargeData) -> tuple[float, ChargeParameters]:
     """Mean squared roll-out error, and its gradient with respect to A, B, gamma and S."""
-    E, _ = _step_terms(p, data)
-    x = roll_out(p, data)
+    E, drive = _step_terms(p, data)
+    x = _rolled(E, drive, data)
     n = data.counts[1:].sum()
-    error = (x - data.x) * data.weight * data.counts[..., None]
-    loss = float(np.sum(error * (x - data.x)) / n)
+    miss = x - data.x
+    error = miss * data.weight * data.counts[..., None]
+    loss = float(np.vdot(error, miss) / n)
     adjoint = 2.0 / n * error
-    for k in range(len(E) - 1, 0, -1):
-        adjoint[k] += adjoint[k + 1] @ E[k]
+    backward(E, adjoint)
     ahead = adjoint[1:].transpose(0, 2, 1)
     by_step = ahead @ (x[:-1] - 0.5 * p.gamma * data.v)
-    G = np.einsum("kh,kij->hij", data.w, by_step, optimize=True)
+    G = _per_vertex(data.w, by_step)
     by_S = None
     if p.S is not None:
         steps = p.steps()
@@ -142,20 +143,29 @@ def loss_and_gradient(p: ChargeParameters, data: ChargeData) -> tuple[float, Cha
         G = np.linalg.solve(p.S.T, G) @ p.S.T
     gradient = ChargeParameters(
         G,
-        np.einsum("kh,kij->hij", data.w, ahead @ data.u, optimize=True),
-        float(-np.sum(adjoint[1:] * _ported(E, data.v))),
+        _per_vertex(data.w, ahead @ data.u),
+        float(-np.vdot(adjoint[1:], _ported(E, data.v))),
         by_S,
     )
     return loss, gradient
 
 
 def _step_terms(p: ChargeParameters, data: ChargeData) -> tuple[np.ndarray, np.ndarray]:
-    A = np.einsum("kh,hij->kij", data.w, p.steps(), optimize=True)
-    B = np.einsum("kh,hij->kij", data.w, p.B, optimize=True)
+    A, B = _at(data.w, p.steps()), _at(data.w, p.B)
     drive = data.u @ B.transpose(0, 2, 1)
     if p.gamma:
         drive = drive - p.gamma * _ported(A, data.v)
     return A, drive
+
+
+def _at(w: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """sum_h w_kh M_h, (K, i, j)."""
+    return (w @ vertices.reshape(len(vertices), -1)).reshape(len(w), *vertices.shape[1:])
+
+
+def _per_vertex(w: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """sum_k w_kh M_k, (H, i, j)."""
+    return (w.T @ steps.reshape(len(steps), -1)).reshape(w.shape[1], *steps.shape[1:])
 
 
 def _ported(A: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from cellsys.reduction.equivariant.training import (
     roll_out,
     train,
 )
+from cellsys.reduction.equivariant.training_kernels import backward, forward
 
 
 def problem(seed=0, K=30, R=4, m=3, H=3, noise=0.0):
@@ -136,3 +137,21 @@ def test_port_gain_is_the_least_point_and_zero_where_nothing_is_gained():
     assert port_gain(true, data) == 0.0
     away = dataclasses.replace(data, x=2 * data.x - pushed.x)  # would need a negative gain
     assert port_gain(true, away) == 0.0
+
+
+def test_compiled_recursions_are_those_of_numpy():
+    rng = np.random.default_rng(4)
+    for m, rows in ((1, 1), (3, 5), (9, 16)):
+        A = 0.6 * rng.standard_normal((20, m, m))
+        x = rng.standard_normal((21, rows, m))
+        ahead, back = x.copy(), x.copy()
+        forward(A, ahead)
+        backward(A, back)
+        there = x.copy()
+        for k in range(20):
+            there[k + 1] += there[k] @ A[k]
+        np.testing.assert_allclose(ahead, there, rtol=1e-12, atol=1e-12 * np.abs(there).max())
+        here = x.copy()
+        for k in range(19, 0, -1):
+            here[k] += here[k + 1] @ A[k]
+        np.testing.assert_allclose(back, here, rtol=1e-12, atol=1e-12 * np.abs(here).max())
