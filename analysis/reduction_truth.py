@@ -210,7 +210,7 @@ def main(quick: bool = False, out: str | None = None) -> None:
     if len(data.runs["turning"]) >= 3:
         snapshots = data.snapshots(*small)
         kept = data.records["turning"]
-        method = dataclasses.replace(base, folds=3 if quick else 4)
+        method = dataclasses.replace(base, folds=3 if quick else base.folds)
         misses = method.left_out(kept, snapshots, top, sites_of(snapshots))
         bands = conformal_bands(misses, data.step, method.folds)
         fitted = models[small, top]
