@@ -194,8 +194,9 @@ def compare(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> dict:
           f"{relative(sum(r.block(MATRIX) for r in controls), u):.3f}")  # fmt: skip
     print(f"  reduced, headings of the full-order run: {misses(led, full)}; superposed reduced "
           f"fields of cells alone: matrix {relative(led_alone, u):.3f}")  # fmt: skip
-    for name, run in (("full", singles[0]), ("reduced", controls[0])):
-        print(f"  {name}, around cell 1 alone: {cs.attenuation_length(run, rest)}")
+    inner = int(np.argmin(np.linalg.norm(places, axis=1)))  # far from the rim, which is held
+    for name, run in (("full", singles[inner]), ("reduced", controls[inner])):
+        print(f"  {name}, around cell {inner + 1} alone: {cs.attenuation_length(run, rest)}")
     head = ("pair", "gap um", "norm. gap", "gap nm/s", "alone", "far nm/s", "alone")
     print("  " + " ".join(f"{h:>10s}" for h in ("", *head)))
     for pair in rows["full"]:
