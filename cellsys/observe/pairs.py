@@ -219,7 +219,13 @@ def attenuation_length(
     away = np.linalg.norm(rest[:, :2] - centre, axis=1)
     size = np.hypot(rest[:, 0], rest[:, 1])
     outer = RIM * size.max() - float(np.linalg.norm(centre))
-    edges = np.linspace(max(contact_radius(x), 0.5 * float(np.ptp(x[:, 0]))), outer, bins + 1)
+    inner = max(contact_radius(x), 0.5 * float(np.ptp(x[:, 0])))
+    if not inner < outer:
+        raise DataError(
+            f"{cell} reaches {inner:.3g} um from its centre and the rim, which is held, begins "
+            f"{outer:.3g} um from it: no ring lies between; read a cell farther from the rim"
+        )
+    edges = np.linspace(inner, outer, bins + 1)
     radius, rms = [], []
     for low, high in pairwise(edges):
         ring = (away >= low) & (away < high)

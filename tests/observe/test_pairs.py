@@ -119,6 +119,8 @@ def test_attenuation_length_of_an_exponential():
         attenuation_length(run(centres, grows), X)
     with pytest.raises(DataError, match="rings"):
         attenuation_length(run(centres, np.zeros_like(u)), X)
+    with pytest.raises(DataError, match="a cell farther from the rim"):
+        attenuation_length(run(centres + 48.0, u), X)
 
 
 def test_controls_of_a_scene():
