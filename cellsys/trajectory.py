@@ -102,7 +102,8 @@ class Trajectory(Drawable):
         Discrete happenings, in order of time.
     statistics : mapping
         Counts (rhs, jacobians, factorisations, steps, rejected; None where the program behind an
-        integrator does not tell) and times of the integrator, s.
+        integrator does not tell) and times of the integrator, s. ``estimate_factor``: what `error`
+        takes over the time of the run, where that is not 2.
     geometry : mapping of str to array
         Constant places of the system, such as ``matrix.rest`` (N, 3) um.
     estimator : callable, optional
@@ -207,7 +208,8 @@ class Trajectory(Drawable):
         if "error" in self.__dict__ or (self.estimator is not None and quick):
             lines.append(f"integrator's error: {self.error}")
         elif self.estimator is not None:
-            lines.append(f"integrator's error: `.error` finds it (about {2 * wall:.0f} s)")
+            took = self.statistics.get("estimate_factor", 2.0) * wall
+            lines.append(f"integrator's error: `.error` finds it (about {took:.0f} s)")
         else:
             lines.append("integrator's error: not estimated")
         if self.model_error:
