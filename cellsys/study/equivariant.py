@@ -25,7 +25,7 @@ from cellsys.reduction.provenance import data_hash
 from cellsys.response import margins
 from cellsys.scene import Scene, build
 from cellsys.store.hashing import fingerprint
-from cellsys.study.measure import OrderRow
+from cellsys.study.measure import OrderRow, margin_table
 from cellsys.trajectory import Trajectory
 from cellsys.version import __version__
 
@@ -175,14 +175,7 @@ def _margins(loop: Any) -> dict[str, Any]:
         found = margins(loop.open_loop(point))
     except CellsysError as error:
         return {"margins": None, "why_no_margins": str(error)}
-    return {
-        "margins": {
-            "gain_margin_on_kappa": found.gain_margin,
-            "phase_margin_deg": found.phase_margin,
-            "delay_margin_s": found.delay_margin,
-        },
-        "why_no_margins": None,
-    }
+    return {"margins": margin_table(found), "why_no_margins": None}
 
 
 def _complex(p: np.ndarray) -> np.ndarray:

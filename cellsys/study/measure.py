@@ -12,6 +12,7 @@ import numpy as np
 from cellsys.drawable import Drawable
 from cellsys.errors import IntegrationError
 from cellsys.reduction import LatentModel, Snapshots, reduce_orders
+from cellsys.response import Margins
 from cellsys.study.coordinates import Coordinates
 
 
@@ -111,3 +112,13 @@ def _price(model: LatentModel, test: Snapshots) -> float:
         model.predict(z0, commands, t)
         times.append(time.perf_counter() - began)
     return min(times)
+
+
+def margin_table(m: Margins) -> dict[str, Any]:
+    """Margins of a polarity loop cut at kappa, as ``summary.json`` holds them."""
+    return {
+        "gain_margin_on_kappa": m.gain_margin,
+        "phase_margin_deg": m.phase_margin,
+        "delay_margin_s": m.delay_margin,
+        "closed_loop_stable": m.closed_loop_stable,
+    }

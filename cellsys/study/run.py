@@ -32,7 +32,7 @@ from cellsys.store import discard_partial, write_json
 from cellsys.study.coordinates import learn_coordinates
 from cellsys.study.equivariant import EquivariantStudy, study_equivariant, sweep_row
 from cellsys.study.floors import floor_scenes, measured_floors
-from cellsys.study.measure import OrderSweep, sweep_orders
+from cellsys.study.measure import OrderSweep, margin_table, sweep_orders
 from cellsys.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -216,7 +216,7 @@ def study(
             for p, s in zip(certainty.poles, certainty.spread, strict=True)
         ],
         "stability": {"verdict": plant_report.verdict, "reason": plant_report.reason},
-        "margins": None if loop_margins is None else _margin_table(loop_margins),
+        "margins": None if loop_margins is None else margin_table(loop_margins),
         "loop": _loop_table(model, main, reduced, linear, why),
         "orders": [dataclasses.asdict(row) for row in sweep.rows],
         "full_order_s": full_s,
@@ -314,15 +314,6 @@ def _loop(
         return loop, reduced, linear, margins(loop.open_loop(linear)), None
     except CellsysError as error:
         return None, None, None, None, str(error)
-
-
-def _margin_table(m: Margins) -> dict[str, Any]:
-    return {
-        "gain_margin_on_kappa": m.gain_margin,
-        "phase_margin_deg": m.phase_margin,
-        "delay_margin_s": m.delay_margin,
-        "closed_loop_stable": m.closed_loop_stable,
-    }
 
 
 def heading_deg(p: np.ndarray) -> np.ndarray:
