@@ -186,21 +186,24 @@ def compare(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> dict:
           f"{wall:.0f} s, reduced {took:.1f} s")  # fmt: skip
     u, heading = full.block(MATRIX), followed(full)
     led, _ = reduced(model, scene, field, list(range(K)), heading)
-    led_alone = sum(reduced(model, scene, field, [k], heading)[0].block(MATRIX) for k in range(K))
+    led_alone = [reduced(model, scene, field, [k], heading)[0] for k in range(K)]
+    rows["led"] = read(led, led_alone, rest, places)
     print(f"  reduced, each its own polarity: {misses(small, full)}")
     print(f"  full-order, start shifted by 5 nm: {misses(moved, full)}")
     print(f"  superposed fields of cells alone, each its own polarity: matrix full-order "
           f"{relative(sum(r.block(MATRIX) for r in singles), u):.3f}, reduced "
           f"{relative(sum(r.block(MATRIX) for r in controls), u):.3f}")  # fmt: skip
     print(f"  reduced, headings of the full-order run: {misses(led, full)}; superposed reduced "
-          f"fields of cells alone: matrix {relative(led_alone, u):.3f}")  # fmt: skip
+          f"fields of cells alone: matrix "
+          f"{relative(sum(r.block(MATRIX) for r in led_alone), u):.3f}")  # fmt: skip
     inner = int(np.argmin(np.linalg.norm(places, axis=1)))  # far from the rim, which is held
     for name, run in (("full", singles[inner]), ("reduced", controls[inner])):
         print(f"  {name}, around cell {inner + 1} alone: {cs.attenuation_length(run, rest)}")
+    print("  led: reduced, headings of the full-order run")
     head = ("pair", "gap um", "norm. gap", "gap nm/s", "alone", "far nm/s", "alone")
     print("  " + " ".join(f"{h:>10s}" for h in ("", *head)))
     for pair in rows["full"]:
-        for name in ("full", "reduced"):
+        for name in rows:
             if pair not in rows[name]:
                 continue
             m = rows[name][pair].means()
