@@ -223,9 +223,12 @@ def until_touch(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> No
     singles = cs.run_ensemble(cs.alone_scenes(scene), folder)
     full, moved, *singles = (on_grid(r, model.dt) for r in (full, moved, *singles))
     system = cs.build(scene)
-    small, took = reduced(model, whole, cs.full_field(system), [0, 1])
+    field = cs.full_field(system)
+    small, took = reduced(model, whole, field, [0, 1])
+    led, _ = reduced(model, scene, field, [0, 1], followed(full))
     for name, run in (("full-order", full), ("shifted by 5 nm", moved),
-                      ("reduced", cs.until_contact(small))):  # fmt: skip
+                      ("reduced", cs.until_contact(small)),
+                      ("reduced, headings of the full-order run", cs.until_contact(led))):  # fmt: skip
         touch = [e for e in run.events if e.name == "contact"]
         end = f"{touch[0].detail} touch at {touch[0].time:.0f} s" if touch else "no contact"
         gap = cs.edge_gap(run)
@@ -235,6 +238,7 @@ def until_touch(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> No
     count = min(len(full), len(small), len(moved))
     print(f"  until {full.t[count - 1]:.0f} s, reduced: "
           f"{misses(first(small, count), first(full, count))}")  # fmt: skip
+    print(f"  on its headings: {misses(first(led, count), first(full, count))}")
     print(f"  shifted by 5 nm: {misses(first(moved, count), first(full, count))}")
     count = min(len(full), *(len(r) for r in singles))
     read_out = cs.observe_pair(first(full, count), [first(r, count) for r in singles],
