@@ -228,7 +228,7 @@ def until_touch(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> No
     led, _ = reduced(model, scene, field, [0, 1], followed(full))
     for name, run in (("full-order", full), ("shifted by 5 nm", moved),
                       ("reduced", cs.until_contact(small)),
-                      ("reduced, headings of the full-order run", cs.until_contact(led))):  # fmt: skip
+                      ("reduced, led by its headings", cs.until_contact(led))):  # fmt: skip
         touch = [e for e in run.events if e.name == "contact"]
         end = f"{touch[0].detail} touch at {touch[0].time:.0f} s" if touch else "no contact"
         gap = cs.edge_gap(run)
