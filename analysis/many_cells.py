@@ -252,17 +252,21 @@ def first(run: cs.Trajectory, count: int) -> cs.Trajectory:
 
 
 def draw(found: dict[str, dict], folder: Path) -> None:
-    """Gap speed against spacing, full-order and reduced, beside the one-cell control."""
+    """Gap speed against spacing, full-order and reduced, beside the one-cell control.
+
+    Led: on the headings of the full-order run.
+    """
     from cellsys.figures import save_png, sheet
 
-    figure, ax = sheet((6.5, 4.0))
-    for color, kind in (("C0", "full"), ("C1", "reduced")):
+    figure, ax = sheet((7.5, 5.0))
+    kinds = {"full": "full-order", "reduced": "reduced, own polarity", "led": "reduced, led"}
+    for color, (kind, label) in zip(("C0", "C1", "C2"), kinds.items(), strict=True):
         rows = cs.speed_against_spacing([r for s in found.values() for r in s[kind].values()])
-        ax.plot(rows[:, 0], rows[:, 1], "o", color=color, label=f"{kind}, together")
-        ax.plot(rows[:, 0], rows[:, 2], "x", color=color, label=f"{kind}, one cell alone")
+        ax.plot(rows[:, 0], rows[:, 1], "o", color=color, label=f"{label}, together")
+        ax.plot(rows[:, 0], rows[:, 2], "x", color=color, label=f"{label}, one cell alone")
     ax.set(xlabel="free gap at the start (um)", ylabel="matrix speed in the gap (nm/s)")
     ax.grid(alpha=0.3)
-    ax.legend(fontsize="small")
+    ax.legend(fontsize="small", ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.14))
     save_png(figure, folder / "many_cells.png")
 
 
