@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from cellsys.errors import ParameterError
-from cellsys.laws.sensing import sensed_direction
-from cellsys.reduction.local_sensor import INNER, REACH
+from cellsys.laws.sensing import nodal_sum, sensed_direction
+from cellsys.reduction.local_sensor import INNER, REACH, LocalSensor
 
 MEASURES = ("stiffness", "stress")
 
@@ -84,3 +84,28 @@ class FieldSensor:
                 for c, p_k in zip(places, p, strict=True)
             ]
         )
+
+
+def standing_on(field: Any, sensor: Any) -> Any:
+    """The sensor with the network of this field, where it reads the stiffness at rest.
+
+    A `LocalSensor` keeps the network it was fitted on; cells on another matrix stand on another.
+
+    Raises
+    ------
+    ParameterError
+        When the field has other nodes and no fibres to read (a `LinearField` from matrices).
+    """
+    if not isinstance(sensor, LocalSensor) or not (sensor.K_s.any() or sensor.a):
+        return sensor
+    nodes, known = np.asarray(field.nodes), sensor.map.nodes
+    if hasattr(field, "matrix"):
+        disc = field.matrix.disc
+        return sensor.on(nodes, nodal_sum(len(nodes), disc.fibres, disc.stiffness))
+    if len(nodes) != len(known) or not np.array_equal(nodes[:, :2], known):
+        raise ParameterError(
+            f"the sensor reads the stiffness of its own network of {len(known)} nodes, and this "
+            f"{type(field).__name__} of {len(nodes)} nodes has no fibres to read; use a "
+            "GalerkinField or a full field, or a sensor of the latent state alone"
+        )
+    return sensor

@@ -123,10 +123,11 @@ class LoadPorts:
 
     def _equivariant(self, model: Any, controller: Any, sensor: Any, normalise: bool) -> Any:
         from cellsys.population.equivariant_cells import EquivariantCells
+        from cellsys.population.field_sensor import standing_on
 
         if self.port is not None:
             raise ParameterError("an equivariant model has its own port; leave port= out")
-        sensor = model.sensor if sensor is None else sensor
+        sensor = standing_on(self.field, model.sensor if sensor is None else sensor)
         if controller is not None and sensor is None:
             raise ParameterError("a controller needs a sensor; the model has none, pass sensor=")
         cells = EquivariantCells(model, self, controller, sensor, normalise)

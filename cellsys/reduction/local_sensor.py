@@ -154,6 +154,10 @@ class LocalSensor(StiffnessSensor):
             d = d + _squares(z[..., -2:]) @ self.K_q.T
         return d
 
+    def on(self, nodes: np.ndarray, stiffness: np.ndarray) -> LocalSensor:
+        """The same law on another network: nodes (N, 2 or 3) um, stiffness (N,) pN/um at rest."""
+        return replace(self, map=StiffnessMap(nodes[:, :2], stiffness, self.map.reach))
+
     def frozen(self, z: np.ndarray) -> StiffnessSensor:
         """The linear sensor with the same value and slope at z (m,)."""
         S = self.S_d.copy()

@@ -1,6 +1,7 @@
 """The sensor on the shared field: the law of the full-order model, cells that meet, refusals."""
 
 import tomllib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import pytest
 import cellsys as cs
 from cellsys.errors import ParameterError
 from cellsys.population import FieldSensor, LoadPorts, couple
+from cellsys.population.field_sensor import standing_on
+from cellsys.reduction.local_sensor import LocalSensor, StiffnessMap
 from tests.population.test_equivariant_cells import PAIR, model
 from tests.reduction.equivariant.runs import model as trained
 from tests.reduction.equivariant.runs import scene
@@ -103,3 +106,24 @@ def test_refusals(field):
     linear = cs.LinearField(nodes, np.eye(12), 1.0)
     with pytest.raises(ParameterError, match="fibres"):
         FieldSensor().directions(linear, np.zeros(12), np.zeros((1, 2)), np.eye(3)[:1])
+
+
+def test_cells_on_another_matrix_read_its_network(system, field):
+    """A sensor that kept the network it was fitted on would look at fibres that are not there."""
+    m, rest = model(0.0, field=field), system.geometry()
+    K_s, elsewhere = np.vstack([np.eye(2), np.zeros(2)]), np.array([[5.0, 0.0], [9.0, 4.0]])
+    own = LocalSensor(
+        np.zeros((3, 1 + m.order)), K_s=K_s, map=StiffnessMap(elsewhere, np.ones(2), 9.0)
+    )
+    cells = couple(m, coupling=LoadPorts(field, PAIR), sensor=own)
+    assert np.array_equal(cells.sensor.map.nodes, rest["matrix.rest"][:, :2])
+    np.testing.assert_allclose(cells.sensor.map.stiffness, rest["matrix.stiffness"], rtol=1e-14)
+    assert cells.sensor.map.reach == 9.0
+    assert not np.allclose(cells.sensor.map.at(PAIR), own.map.at(PAIR))
+    blind = LocalSensor(np.zeros((3, 1 + m.order)), map=own.map)
+    assert couple(m, coupling=LoadPorts(field, PAIR), sensor=blind).sensor is blind
+    bare = SimpleNamespace(nodes=field.nodes)
+    with pytest.raises(ParameterError, match="network of 2 nodes"):
+        standing_on(bare, own)
+    here = own.on(rest["matrix.rest"], rest["matrix.stiffness"])
+    assert standing_on(bare, here) is here
