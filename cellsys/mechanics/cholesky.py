@@ -90,20 +90,13 @@ class Factorised:
         self._work = np.empty(2 * a.order.size)
 
     def __call__(self, rhs: np.ndarray) -> np.ndarray:
-        out = np.empty(rhs.shape)
-        if rhs.ndim == 1:
-            self._solve(rhs, out)
-        else:
-            for column in range(rhs.shape[1]):
-                self._solve(rhs[:, column], out[:, column])
-        return out
-
-    def _solve(self, rhs: np.ndarray, out: np.ndarray) -> None:
-        a = self.analysis
+        a, columns = self.analysis, np.ascontiguousarray(rhs).reshape(len(rhs), -1)
+        out = np.empty(columns.shape)
         kernels.solve(
             a.order, a.first, a.start, a.rows,
-            self._panels, a.panel_at, self._corners, a.corner_at, rhs, self._work, out,
+            self._panels, a.panel_at, self._corners, a.corner_at, columns, self._work, out,
         )  # fmt: skip
+        return out.reshape(rhs.shape)
 
 
 def analyse(matrix: sp.csc_array) -> Analysis:
@@ -199,10 +192,12 @@ def _permuted(matrix: sp.csc_array, order: np.ndarray) -> sp.csc_array:
 def _columns(pattern: sp.csc_array) -> tuple[np.ndarray, ...]:
     n = pattern.shape[0]
     parent, count = np.empty(n, np.int64), np.empty(n, np.int64)
-    kernels.elimination_tree(pattern.indptr, pattern.indices, parent, count)
+    # One type: the loops are compiled for each anew.
+    indptr, indices = (v.astype(np.int64, copy=False) for v in (pattern.indptr, pattern.indices))
+    kernels.elimination_tree(indptr, indices, parent, count)
     start = np.concatenate([[0], np.cumsum(count)])
     rows = np.empty(start[-1], np.int64)
-    kernels.column_rows(pattern.indptr, pattern.indices, parent, start, rows)
+    kernels.column_rows(indptr, indices, parent, start, rows)
     return parent, count, start, rows
 
 

@@ -72,8 +72,9 @@ def factorise(
         r = start[s + 1] - start[s]
         m = w + r
         f = front[: m * m].reshape((m, m))
-        f[:, :] = 0.0
         flat = front[: m * m]
+        for e in range(m * m):
+            flat[e] = 0.0
         for e in range(entries[s], entries[s + 1]):
             flat[target[e]] += values[source[e]]
         # The children lie on top of the stack, the last one uppermost.
@@ -92,7 +93,9 @@ def factorise(
             for j in range(i):
                 f[i, j] = f[j, i]
         across = stack[top + r * r : top + r * r + w * r].reshape((w, r))
-        across[:, :] = f[:w, w:]
+        for i in range(w):
+            for j in range(r):
+                across[i, j] = f[i, w + j]
         for k in range(w):
             pivot = f[k, k]
             if not pivot > 0.0:
@@ -109,13 +112,17 @@ def factorise(
                     for j in range(m):
                         row[j] -= factor * p[j]
         corner = corners[corner_at[s] : corner_at[s + 1]].reshape((w, w))
-        corner[:, :] = f[:w, :w]
         panel = panels[panel_at[s] : panel_at[s + 1]].reshape((w, r))
-        panel[:, :] = f[:w, w:]
+        for i in range(w):
+            for j in range(w):
+                corner[i, j] = f[i, j]
+            for j in range(r):
+                panel[i, j] = f[i, w + j]
         update = stack[top : top + r * r].reshape((r, r))
         for i in range(r):
             row = update[i]
-            row[i:] = f[w + i, w + i :]
+            for j in range(i, r):
+                row[j] = f[w + i, w + j]
             k = 0
             while k + 4 <= w:
                 a, b, c, d = across[k, i], across[k + 1, i], across[k + 2, i], across[k + 3, i]
@@ -144,11 +151,20 @@ def _before(children, s):
 
 @compiled(vector=True)
 def solve(order, first, start, rows, panels, panel_at, corners, corner_at, rhs, work, out):
-    """out = A^-1 rhs by the panels B^T S and corners S of `factorise`; work: (2 n,)."""
+    """out = A^-1 rhs (n, k) by the panels B^T S and corners S of `factorise`; work: (2 n,)."""
+    for column in range(rhs.shape[1]):
+        _solve(order, first, start, rows, panels, panel_at, corners, corner_at, rhs, work, out,
+               column)  # fmt: skip
+
+
+@compiled(vector=True)
+def _solve(
+    order, first, start, rows, panels, panel_at, corners, corner_at, rhs, work, out, column
+):  # fmt: skip
     n = order.size
     b = work[:n]
     for i in range(n):
-        b[i] = rhs[order[i]]
+        b[i] = rhs[order[i], column]
     for s in range(first.size - 1):
         c, w = first[s], first[s + 1] - first[s]
         r = start[s + 1] - start[s]
@@ -208,4 +224,4 @@ def solve(order, first, start, rows, panels, panel_at, corners, corner_at, rhs, 
             b[c + k] = inner[k] - s0
             k += 1
     for i in range(n):
-        out[order[i]] = b[i]
+        out[order[i], column] = b[i]

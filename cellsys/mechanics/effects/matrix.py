@@ -118,11 +118,12 @@ class FibreElement(Element):
     def slopes(self, s: Configuration) -> tuple[np.ndarray, np.ndarray]:
         """Tangent slope g' and tension (pN) of every fibre."""
         if self.name not in s.cache:
-            d = self.disc
+            d, u = self.disc, s.nodes[MATRIX]
             slope, tension = np.empty(len(d.fibres)), np.empty(len(d.fibres))
             fibre_slopes(
                 d.position,
-                s.nodes[MATRIX],
+                # The loop would be compiled once more for an array that must not be written.
+                u if u.flags.writeable else u.copy(),
                 d.fibres,
                 d.length,
                 d.stiffness,
