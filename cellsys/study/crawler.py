@@ -15,6 +15,7 @@ from cellsys.figures import chain_displacement, crawler_run, save_png, sheet
 from cellsys.mechanics.crawler_run import CrawlRun, judge
 from cellsys.scene import Scene, build, run_scene
 from cellsys.store import save_archive, write_json, write_text
+from cellsys.study.measure import read_out_name
 from cellsys.study.report import _STYLE, _g, _image, _table
 from cellsys.study.run import plain
 
@@ -45,7 +46,7 @@ class CrawlerStudy:
         lines = [str(self.crawl.trajectory), ""]
         for name, row in self.summary["cells"].items():
             lines.append(f"{name}:")
-            lines += [f"  {k.replace('_', ' '):28s} {v:.4g}" for k, v in row.items()]
+            lines += [f"  {read_out_name(k):28s} {v:.4g}" for k, v in row.items()]
         return "\n".join([*lines, "", str(self)])
 
 
@@ -145,7 +146,7 @@ def _write_report(result: CrawlerStudy, figures: Mapping[str, Path]) -> None:
         _image(figures["crawler_run"], "lead and trail against time, a tick at every switch"),
         _table(
             ("read-out", *cells),
-            [(r.replace("_", " "), *(_g(cells[c][r], 4) for c in cells)) for r in rows],
+            [(read_out_name(r), *(_g(cells[c][r], 4) for c in cells)) for r in rows],
         ),
         "<h2>The chain</h2>",
         _image(figures["chain_displacement"], "displacement of the chain against time"),

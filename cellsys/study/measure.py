@@ -122,3 +122,11 @@ def margin_table(m: Margins) -> dict[str, Any]:
         "delay_margin_s": m.delay_margin,
         "closed_loop_stable": m.closed_loop_stable,
     }
+
+
+def read_out_name(key: str) -> str:
+    """Name of a read-out for a reader: ``crawl_um`` is "crawl, um"."""
+    for ending, unit in (("_nm_s", "nm/s"), ("_um_per_s", "um/s"), ("_um", "um"), ("_s", "s")):
+        if key.endswith(ending):
+            return f"{key.removesuffix(ending).replace('_', ' ')}, {unit}"
+    return key.replace("_", " ")

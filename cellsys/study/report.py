@@ -25,6 +25,7 @@ from cellsys.figures import (
 )
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.store import write_text
+from cellsys.study.measure import read_out_name
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1000px; margin: 2rem auto; padding: 0 1rem;
@@ -124,7 +125,7 @@ def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
         _image(figures["cell_and_matrix"], "cell and matrix, before and after"),
         _table(
             ("read-out", "value"),
-            [(k.replace("_", " "), _g(v)) for k, v in result.magnitudes.items()],
+            [(read_out_name(k), _g(v)) for k, v in result.magnitudes.items()],
         ),
         _image(figures["displacement_field"], "displacement field of the matrix"),
         "<p class='note'>Share of the rates that the stepping leaves over: "

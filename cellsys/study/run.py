@@ -32,7 +32,7 @@ from cellsys.store import discard_partial, write_json
 from cellsys.study.coordinates import learn_coordinates
 from cellsys.study.equivariant import EquivariantStudy, study_equivariant, sweep_row
 from cellsys.study.floors import floor_scenes, measured_floors
-from cellsys.study.measure import OrderSweep, margin_table, sweep_orders
+from cellsys.study.measure import OrderSweep, margin_table, read_out_name, sweep_orders
 from cellsys.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class StudyResult:
     def report(self) -> str:
         """The study in words and tables, for a terminal."""
         lines = [str(self.run), ""]
-        lines += [f"  {k.replace('_', ' '):34s} {v:.3g}" for k, v in self.magnitudes.items()]
+        lines += [f"  {read_out_name(k):34s} {v:.3g}" for k, v in self.magnitudes.items()]
         lines += ["", f"poles of the reduced model (PCR, m = {self.model.order}), 1/s:"]
         if self.summary["why_lower_order"]:
             lines.append(f"  ({self.summary['why_lower_order']})")
