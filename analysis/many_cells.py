@@ -15,7 +15,6 @@ until they touch. --out keeps runs and figure.
 
 import argparse
 import dataclasses
-import itertools
 import tempfile
 import time
 from pathlib import Path
@@ -25,7 +24,6 @@ import numpy as np
 import cellsys as cs
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-CLOSE = 40.0  # um between the edges: pairs farther apart are not neighbours
 SHIFT = 5e-3  # um
 MATRIX = "matrix.displacement"
 
@@ -99,15 +97,6 @@ def reduced(
     return cells.in_nodes(run), time.perf_counter() - began
 
 
-def pair_of(run: cs.Trajectory, i: int, j: int) -> cs.Trajectory:
-    """Cells i and j of a run as cell1 and cell2, with the matrix."""
-    names = [f"cell{i + 1}.position", f"cell{j + 1}.position", "matrix.displacement"]
-    blocks = [dataclasses.replace(run.states[n], name=new) for n, new in zip(
-        names, ("cell1.position", "cell2.position", names[2]), strict=True)]  # fmt: skip
-    x = np.column_stack([run.block(n).reshape(len(run), -1) for n in names])
-    return cs.Trajectory(run.t, x, cs.Layout(blocks))
-
-
 def on_grid(run: cs.Trajectory, dt: float) -> cs.Trajectory:
     """Every sample on the grid of dt, positions and polarity alone."""
     every = round(dt / (run.t[1] - run.t[0]))
@@ -117,19 +106,6 @@ def on_grid(run: cs.Trajectory, dt: float) -> cs.Trajectory:
     return cs.Trajectory(
         run.t[::every], x, cs.Layout(blocks), p=np.asarray(run.p)[::every], events=run.events
     )
-
-
-def read(
-    run: cs.Trajectory, alone: list[cs.Trajectory], rest: np.ndarray, places: np.ndarray
-) -> dict[tuple[int, int], cs.PairReadout]:
-    """Read-outs of every pair of neighbours, up to their contact."""
-    out = {}
-    for i, j in itertools.combinations(range(len(places)), 2):
-        pair = pair_of(run, i, j)
-        if cs.edge_gap(pair)[0] < CLOSE:
-            pair = cs.until_contact(pair)
-            out[i, j] = cs.observe_pair(pair, [alone[i], alone[j]], rest)
-    return out
 
 
 def relative(found: np.ndarray, truth: np.ndarray) -> float:
@@ -179,15 +155,15 @@ def compare(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> dict:
     controls = [reduced(model, scene, field, [k])[0] for k in range(K)]
     places = np.array([c.position for c in scene.cells])
     rows = {
-        "full": read(full, singles, rest, places),
-        "reduced": read(small, controls, rest, places),
+        "full": cs.observe_neighbours(full, singles, rest),
+        "reduced": cs.observe_neighbours(small, controls, rest),
     }
     print(f"\n{scene.name}: {K} cells, {len(rest)} nodes, {scene.duration:g} s; full-order "
           f"{wall:.0f} s, reduced {took:.1f} s")  # fmt: skip
     u, heading = full.block(MATRIX), followed(full)
     led, _ = reduced(model, scene, field, list(range(K)), heading)
     led_alone = [reduced(model, scene, field, [k], heading)[0] for k in range(K)]
-    rows["led"] = read(led, led_alone, rest, places)
+    rows["led"] = cs.observe_neighbours(led, led_alone, rest)
     print(f"  reduced, each its own polarity: {misses(small, full)}")
     print(f"  full-order, start shifted by 5 nm: {misses(moved, full)}")
     print(f"  superposed fields of cells alone, each its own polarity: matrix full-order "

@@ -30,10 +30,18 @@ def run(
             "--error", help="Share of the motion that the full-order stepping may miss."
         ),
     ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option("--model", help="Equivariant model of one cell, run beside several cells."),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Scene to report: full-order runs, reduced models, poles, margins, closed loop."""
+    """Scene to report: full-order runs, reduced models, poles, margins, closed loop.
+
+    Of a scene with several cells, or without a steered one: its run, read-outs, and one-cell
+    controls.
+    """
     from cellsys.study import study
 
     folder = Path("out") / scene.stem if out is None else out
@@ -41,8 +49,9 @@ def run(
     with progress_bars(quiet) as progress:
         try:
             result = study(
-                plan, folder, order=order, workers=workers, resume=resume, progress=progress
-            )
+                plan, folder, order=order, workers=workers, resume=resume, model=model,
+                progress=progress,
+            )  # fmt: skip
         except KeyboardInterrupt:
             print("cellsys: interrupted; add --resume to go on from here", file=sys.stderr)
             sys.exit(1)

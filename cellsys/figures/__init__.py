@@ -36,7 +36,14 @@ __getattr__, __dir__, __all__ = _lazy.attach(
             "pole_map",
         ],
         "sheet": ["save_png", "sheet"],
-        "spreading": ["cell_from_above", "cell_from_side", "displacement_field", "trajectory"],
+        "spreading": [
+            "cell_from_above",
+            "cell_from_side",
+            "cells_from_above",
+            "displacement_field",
+            "pair_gaps",
+            "trajectory",
+        ],
         "response": [
             "bode",
             "error_system",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -23,9 +24,32 @@ def cell_from_above(
     ax: Any = None,
 ) -> Any:
     """Membrane (n, 3) over the matrix nodes (N, 3) with its fibres, um, seen from above."""
+    return cells_from_above([(position, triangles)], nodes, fibres, ax)
+
+
+def cells_from_above(
+    cells: Sequence[tuple[np.ndarray, np.ndarray]],
+    nodes: np.ndarray | None = None,
+    fibres: np.ndarray | None = None,
+    ax: Any = None,
+) -> Any:
+    """Membranes, each (positions (n, 3), triangles), over the matrix if there is one, um."""
     ax = _axes(ax)
+    for position, triangles in cells:
+        _membrane(position, triangles, ax)
+    ax.set(xlabel="x (um)", ylabel="y (um)")
+    ax.set_aspect("equal")
+    if nodes is None or fibres is None:
+        ax.autoscale_view()
+        return ax
     top = fibres[nodes[fibres].mean(axis=1)[:, 2] > -0.7]
-    ax.add_collection(LineCollection(nodes[top][:, :, :2], colors=FIBRE, linewidths=0.4))
+    ax.add_collection(LineCollection(nodes[top][:, :, :2], colors=FIBRE, linewidths=0.4, zorder=0))
+    reach = 1.02 * np.abs(nodes[:, :2]).max()
+    ax.set(xlim=(-reach, reach), ylim=(-reach, reach))
+    return ax
+
+
+def _membrane(position: np.ndarray, triangles: np.ndarray, ax: Any) -> None:
     order = np.argsort(position[triangles].mean(axis=1)[:, 2])
     ax.add_collection(
         PolyCollection(
@@ -36,10 +60,6 @@ def cell_from_above(
             alpha=0.55,
         )
     )
-    reach = 1.02 * np.abs(nodes[:, :2]).max()
-    ax.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x (um)", ylabel="y (um)")
-    ax.set_aspect("equal")
-    return ax
 
 
 def cell_from_side(position: np.ndarray, triangles: np.ndarray, ax: Any = None) -> Any:
@@ -95,3 +115,23 @@ def trajectory(run: Any, ax: Any = None) -> Any:
     ax.legend(fontsize="small", ncols=2)
     ax.grid(alpha=0.3)
     return ax
+
+
+def pair_gaps(pairs: Mapping[tuple[int, int], Any], axes: Any = None) -> Any:
+    """Gaps of the nearest six pairs (um), and speed of the matrix in each, together and alone."""
+    if axes is None:
+        axes = plt.subplots(1, 2, layout="constrained")[1]
+    gaps, speeds = axes
+    near = sorted(pairs.items(), key=lambda item: item[1].gap[0])[:6]
+    for c, ((i, j), pair) in enumerate(near):
+        name = f"cells {i + 1} and {j + 1}"
+        gaps.plot(np.append(pair.t, 2 * pair.t[-1] - pair.t[-2] if len(pair.t) > 1 else pair.t[-1]),
+                  pair.gap, color=f"C{c}", label=name)  # fmt: skip
+        speeds.plot(pair.t, pair.gap_speed, color=f"C{c}", label=name)
+        speeds.plot(pair.t, pair.gap_alone, ":", color=f"C{c}", label="one of them alone")
+    gaps.set(xlabel="time (s)", ylabel="gap between the edges (um)")
+    speeds.set(xlabel="time (s)", ylabel="speed of the matrix in the gap (nm/s)", yscale="log")
+    for ax in (gaps, speeds):
+        ax.grid(alpha=0.3)
+        ax.legend(fontsize="x-small")
+    return axes

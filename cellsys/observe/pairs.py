@@ -9,16 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
 
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.mechanics.contact import edge_gap
+from cellsys.mechanics.contact import edge_gap, until_contact
 from cellsys.observe.spreading import contact_radius, node_speed
+from cellsys.system import Layout
 from cellsys.trajectory import Trajectory
 
+CLOSE = 40.0  # um between the edges: cells farther apart are not read as a pair
 RIM = 0.87  # share of the matrix radius beyond which the clamped edge is felt
 
 
@@ -241,6 +243,35 @@ def attenuation_length(
         raise DataError("the displacement does not fall with the distance from the cell")
     left = np.log(rms) - (level + slope * radius)
     return Attenuation(float(-1.0 / slope), radius, rms, float(np.sqrt(np.mean(left**2))))
+
+
+def pair_of(run: Trajectory, i: int, j: int) -> Trajectory:
+    """Cells i and j (from 0) of a run as cell1 and cell2, with the matrix and nothing else."""
+    names = [f"cell{i + 1}.position", f"cell{j + 1}.position", "matrix.displacement"]
+    blocks = [
+        replace(run.states[old], name=new)
+        for old, new in zip(names, ("cell1.position", "cell2.position", names[2]), strict=True)
+    ]
+    x = np.column_stack([run.block(n).reshape(len(run), -1) for n in names])
+    return Trajectory(run.t, x, Layout(blocks))
+
+
+def observe_neighbours(
+    run: Trajectory, alone: Sequence[Trajectory], rest: np.ndarray, within: float = CLOSE
+) -> dict[tuple[int, int], PairReadout]:
+    """`observe_pair` of every two cells (from 0) whose edges start at most `within` um apart.
+
+    A pair is read until it touches. `alone` are the one-cell controls of all cells, in order.
+    """
+    found = {}
+    for i, j in combinations(range(len(alone)), 2):
+        pair = pair_of(run, i, j)
+        if edge_gap(pair)[0] > within:
+            continue
+        pair = until_contact(pair)
+        if len(pair) > 1:
+            found[i, j] = observe_pair(pair, [alone[i], alone[j]], rest)
+    return found
 
 
 def alone_scenes(scene: Any) -> list[Any]:

@@ -26,13 +26,15 @@ def contact_radius(position: np.ndarray) -> float:
     return float(np.hypot(*(position[low, :2] - position[:, :2].mean(axis=0)).T).max())
 
 
-def summary_of_run(run: Trajectory, rest: np.ndarray | None = None) -> dict[str, float]:
-    """Magnitudes of a one-cell run, in um and nm/s.
+def summary_of_run(
+    run: Trajectory, rest: np.ndarray | None = None, cell: str = "cell1"
+) -> dict[str, float]:
+    """Magnitudes of one cell of a run, in um and nm/s.
 
     Parameters
     ----------
     run : Trajectory
-        With the block ``cell1.position``.
+        With the block ``CELL.position``.
     rest : (N, 3), optional
         Rest positions of the matrix nodes, for the speeds under the cell and near the rim.
 
@@ -43,7 +45,7 @@ def summary_of_run(run: Trajectory, rest: np.ndarray | None = None) -> dict[str,
         `rest` the 99th percentile of matrix speed under the cell (within its contact radius), the
         mean near the rim (outer 13 % of the radius), and the greatest displacement.
     """
-    x = run.block("cell1.position")
+    x = run.block(f"{cell}.position")
     centre = x.mean(axis=1)
     out = {
         "crawl_um": float(np.linalg.norm(centre[-1] - centre[0])),
@@ -51,7 +53,7 @@ def summary_of_run(run: Trajectory, rest: np.ndarray | None = None) -> dict[str,
         "contact_radius_end_um": contact_radius(x[-1]),
         "height_start_um": float(np.ptp(x[0, :, 2])),
         "height_end_um": float(np.ptp(x[-1, :, 2])),
-        "membrane_speed_mean_nm_s": 1e3 * float(node_speed(run, "cell1.position").mean()),
+        "membrane_speed_mean_nm_s": 1e3 * float(node_speed(run, f"{cell}.position").mean()),
     }
     if rest is None or "matrix.displacement" not in run.states:
         return out

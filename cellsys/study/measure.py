@@ -126,7 +126,8 @@ def margin_table(m: Margins) -> dict[str, Any]:
 
 def read_out_name(key: str) -> str:
     """Name of a read-out for a reader: ``crawl_um`` is "crawl, um"."""
-    for ending, unit in (("_nm_s", "nm/s"), ("_um_per_s", "um/s"), ("_um", "um"), ("_s", "s")):
+    for ending, unit in (("_nm_s", "nm/s"), ("_um_per_s", "um/s"), ("_um", "um"), ("_s", "s"),
+                         ("_deg", "deg")):  # fmt: skip
         if key.endswith(ending):
             return f"{key.removesuffix(ending).replace('_', ' ')}, {unit}"
     return key.replace("_", " ")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellsys.errors import CellsysError, ParameterError, RankError, SceneError
+from cellsys.errors import CellsysError, ParameterError, RankError
 from cellsys.integrate import CVODES
 from cellsys.loop import ClosedLoop, Linearisation, PolarityLaw, closed_loop
 from cellsys.observe import summary_of_run
@@ -28,7 +28,7 @@ from cellsys.reduction.assessment import encode_start
 from cellsys.reduction.basis import check_order
 from cellsys.response import Margins, margins, stability
 from cellsys.scene import ChainScene, Scene, build, load_scene, run_ensemble, training_scenes
-from cellsys.store import discard_partial, write_json
+from cellsys.store import discard_partial, save_archive, write_json
 from cellsys.study.coordinates import learn_coordinates
 from cellsys.study.equivariant import EquivariantStudy, study_equivariant, sweep_row
 from cellsys.study.floors import floor_scenes, measured_floors
@@ -36,6 +36,7 @@ from cellsys.study.measure import OrderSweep, margin_table, read_out_name, sweep
 from cellsys.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from cellsys.study.cells import CellsStudy
     from cellsys.study.crawler import CrawlerStudy
 
 ORDERS = (5, 10, 20, 50, 100)
@@ -114,8 +115,9 @@ def study(
     order: int = 10,
     workers: int = 2,
     resume: bool = True,
+    model: LatentModel | str | Path | None = None,
     progress: Progress | None = None,
-) -> StudyResult | CrawlerStudy:
+) -> StudyResult | CrawlerStudy | CellsStudy:
     """From a scene to poles, margins, a closed-loop run and a report.
 
     Writes into `out`: ``run.npz``, ``model.npz`` (PCR), ``model_equivariant.npz`` (when there is
@@ -124,8 +126,9 @@ def study(
     Parameters
     ----------
     scene : Scene or path
-        With exactly one cell on a disc; or on a chain, which is run and reported without models
-        (`study_crawler`; `order`, `workers` and `resume` are not used).
+        With exactly one steered cell on a disc. A scene on a chain (`study_crawler`) and one
+        with several cells, without a cell, a matrix or a lamellipodium (`study_cells`) are run
+        and read out; no model is learned from them.
     out : path
         Output folder; made when missing. Runs already there are reused.
     order : int
@@ -134,24 +137,38 @@ def study(
         Processes for the full-order runs; the numbers do not depend on it.
     resume : bool
         Continue interrupted runs (the result is bitwise the same); False starts them again.
+    model : EquivariantModel or path, optional
+        Of one cell, run beside a scene of several.
     progress : callable, optional
         Called with a stage's name and its share done.
     """
+    from cellsys.study.cells import study_cells
     from cellsys.study.crawler import study_crawler
 
     began = time.perf_counter()
     if not isinstance(scene, Scene):
         scene = load_scene(scene)
+    if isinstance(model, (str, Path)):
+        model = LatentModel.load(model)
+    on_disc = scene.matrix is not None and not isinstance(scene.matrix, ChainScene)
+    steered = on_disc and len(scene.cells) == 1 and "lamellipodium" in scene.effects
+    if model is not None and (steered or isinstance(scene.matrix, ChainScene)):
+        raise ParameterError(
+            "a model is run beside a disc scene of several cells; this one learns its own or has "
+            "no disc: leave model out"
+        )
     if isinstance(scene.matrix, ChainScene):
         return study_crawler(scene, out, progress)
     folder = Path(out)
-    _check(scene, order, folder)
+    _check(scene, order if steered else None, folder)
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise ParameterError(f"workers must be a whole number >= 1, got {workers!r}")
     cache = folder / "runs"
     if not resume and cache.exists():
         for partial in cache.glob("*.partial"):
             discard_partial(partial)
+    if not steered:
+        return study_cells(scene, folder, workers=workers, model=model, progress=progress)
     say = progress or (lambda stage, share: None)
 
     train, held = training_scenes(scene)
@@ -181,10 +198,10 @@ def study(
         full_s,
         lambda share: say("reduced models", share),
     )
-    model, why_lower = _plant(models, order)
-    certainty = pole_certainty(data, PCR(), model.order, learned.basis, learned.parts)
+    plant, why_lower = _plant(models, order)
+    certainty = pole_certainty(data, PCR(), plant.order, learned.basis, learned.parts)
     say("loop", 0.0)
-    loop, reduced, linear, loop_margins, why = _loop(scene, model, main)
+    loop, reduced, linear, loop_margins, why = _loop(scene, plant, main)
     say("loop", 1.0)
 
     say("equivariant", 0.0)
@@ -195,13 +212,13 @@ def study(
         sweep = dataclasses.replace(sweep, rows=(*sweep.rows, row))
     floors = measured_floors(tested[0], near, charges.model)
     charges = charges.with_floors(floors)
-    model = dataclasses.replace(model, card=dataclasses.replace(model.card, floors=floors))
+    plant = dataclasses.replace(plant, card=dataclasses.replace(plant.card, floors=floors))
     say("equivariant", 1.0)
 
     system = build(scene)
     magnitudes = summary_of_run(main, system.matrix.position)
-    plant_report = stability(plant_of(model))
-    trust = f"PCR: {model.card.verdict}"
+    plant_report = stability(plant_of(plant))
+    trust = f"PCR: {plant.card.verdict}"
     if charges.model is not None:
         trust = f"the equivariant model: {charges.model.card.verdict} {trust}"
     trust = f"What these models can be trusted for: {trust}"
@@ -210,14 +227,14 @@ def study(
         "fingerprint": scene.fingerprint(),
         "magnitudes": magnitudes,
         "step_residual_share": main.residual_share(),
-        "card": model.card.table(),
+        "card": plant.card.table(),
         "poles": [
             {"real": float(p.real), "imag": float(p.imag), "spread": float(s)}
             for p, s in zip(certainty.poles, certainty.spread, strict=True)
         ],
         "stability": {"verdict": plant_report.verdict, "reason": plant_report.reason},
         "margins": None if loop_margins is None else margin_table(loop_margins),
-        "loop": _loop_table(model, main, reduced, linear, why),
+        "loop": _loop_table(plant, main, reduced, linear, why),
         "orders": [dataclasses.asdict(row) for row in sweep.rows],
         "full_order_s": full_s,
         "why_lower_order": why_lower,
@@ -228,7 +245,7 @@ def study(
         scene,
         main,
         models,
-        model,
+        plant,
         sweep,
         certainty,
         loop,
@@ -247,22 +264,14 @@ def study(
     return result
 
 
-def _check(scene: Scene, order: int, folder: Path) -> None:
-    """Refuse what cannot work before anything is run or written."""
-    check_order(order)
+def _check(scene: Scene, order: int | None, folder: Path) -> None:
+    """Refuse what cannot work before anything is run or written; no models without an order."""
     for place in (folder, *folder.parents):
         if place.exists() and not place.is_dir():
             raise ParameterError(f"out = {str(folder)!r}: {str(place)!r} is a file; give a folder")
-    if len(scene.cells) != 1 or scene.matrix is None:
-        there = f"{len(scene.cells)} cell(s) and {'no' if scene.matrix is None else 'a'} matrix"
-        raise SceneError(
-            f"a study needs exactly one cell on a matrix, this scene has {there}; "
-            "use run_scene and snapshots for other scenes"
-        )
-    if "lamellipodium" not in scene.effects:
-        raise SceneError(
-            "a study steers the cell by its lamellipodium; add effects.lamellipodium = {}"
-        )
+    if order is None:
+        return
+    check_order(order)
     samples = sum(max(len(s.times) - 2, 0) for s in training_scenes(scene)[0])
     if order >= samples:
         raise RankError(
@@ -348,30 +357,29 @@ def _loop_table(
 
 
 def _write(result: StudyResult, system: Any, data: Snapshots, say: Progress) -> None:
-    from cellsys.store import save_archive
     from cellsys.study.report import write_figures, write_report
 
     run, out = result.run, result.out
     result.model.save(out / "model.npz")
     if result.equivariant.model is not None:
         result.equivariant.model.save(out / "model_equivariant.npz")
-    arrays = {"t": run.t, "x": np.asarray(run.x)}
-    arrays |= {k: np.asarray(getattr(run, k)) for k in ("p", "d") if getattr(run, k) is not None}
-    save_archive(
-        out / "run.npz",
-        "run",
-        1,
-        arrays,
-        {
-            "label": run.label,
-            "states": [[b.name, list(b.shape), b.unit, b.role, b.kind] for b in run.states],
-            "statistics": dict(run.statistics),
-        },
-    )
+    save_run(run, out / "run.npz")
     say("report", 0.2)
     figures = write_figures(result, system, out / "figures")
     say("report", 0.8)
     write_report(result, figures, out / "report.html")
+
+
+def save_run(run: Trajectory, path: Path) -> None:
+    """Times, states, polarity and sensed direction of a run, with their names."""
+    arrays = {"t": run.t, "x": np.asarray(run.x)}
+    arrays |= {k: np.asarray(getattr(run, k)) for k in ("p", "d") if getattr(run, k) is not None}
+    described = {
+        "label": run.label,
+        "states": [[b.name, list(b.shape), b.unit, b.role, b.kind] for b in run.states],
+        "statistics": plain(run.statistics),
+    }
+    save_archive(path, "run", 1, arrays, described)
 
 
 def plain(value: Any) -> Any:

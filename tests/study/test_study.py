@@ -20,7 +20,7 @@ matplotlib.use("Agg")
 import tomllib
 
 import cellsys as cs
-from cellsys.errors import CellsysError, FileFormatError, ParameterError, RankError, SceneError
+from cellsys.errors import CellsysError, FileFormatError, ParameterError, RankError
 from cellsys.scene import Scene, run_scene
 from cellsys.store import RunReader, load_archive
 from cellsys.study.run import heading_deg, plain
@@ -193,20 +193,6 @@ def test_without_polarity_there_is_no_loop_and_the_reason_is_written(tmp_path):
     table = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert table["margins"] is None
     assert not (tmp_path / "out" / "figures" / "bode.png").exists()
-
-
-@pytest.mark.parametrize(
-    ("replace", "words"),
-    [
-        ({"[effects]": '[[cells]]\nposition = ["11 um", "0 um"]\nradius = "5 um"\n[effects]'},
-         "exactly one cell"),
-        ({'lamellipodium = { force = "600 pN" }\n': ""}, "lamellipodium"),
-    ],
-)  # fmt: skip
-def test_scenes_that_a_study_cannot_use(replace, words, tmp_path):
-    with pytest.raises(SceneError, match=words):
-        cs.study(scene(tiny(replace=replace)), tmp_path / "out", order=3)
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("order", [0, -1, 2.5, True, float("nan")])
