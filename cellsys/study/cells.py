@@ -29,6 +29,7 @@ from cellsys.study.run import plain, save_run
 from cellsys.trajectory import Trajectory
 
 Progress = Callable[[str, float], None]
+MOST_PATHS = 4  # three lines each
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,9 +217,10 @@ def _figures(result: CellsStudy, system: Any, folder: Path) -> dict[str, Path]:
             cells_from_above(shown, nodes, None if disc is None else disc.fibres, ax)
             ax.set_title(f"t = {run.t[k]:g} s")
         drawn["cells"] = save_png(figure, folder / "cells.png")
-        figure, ax = sheet((9, 4.5))
-        paths(run, ax)
-        drawn["centres"] = save_png(figure, folder / "centres.png")
+        if len(names) <= MOST_PATHS:
+            figure, ax = sheet((9, 4.5))
+            paths(run, ax)
+            drawn["centres"] = save_png(figure, folder / "centres.png")
     if disc is not None:
         figure, ax = sheet((7, 5.6))
         displacement_field(disc.position, run.block("matrix.displacement")[-1], ax)
