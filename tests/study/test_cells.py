@@ -155,3 +155,12 @@ def test_the_command_takes_a_model(call, tmp_path):
     code, _, err = call("run", "pair.toml", "--model", "absent.npz")
     assert code == 2
     assert "absent.npz" in err
+
+
+def test_an_error_is_kept_without_a_matrix_too(call, tmp_path):
+    (tmp_path / "free.toml").write_text(
+        'extends = "isolated_membrane"\nduration = "10 s"\nsample = "5 s"\n'
+    )
+    code, out, err = call("run", "free.toml", "--error", "0.05")
+    assert code == 0, err
+    assert "1 cell, 10 s" in out
