@@ -83,6 +83,6 @@ def print_table(title: str, head: list[str], rows: list[list[str]]) -> None:
 
 def dump(value: Any) -> None:
     """JSON on standard output; NaN and inf as strings."""
-    from cellsys.study.run import plain
+    from cellsys.study.files import plain
 
     print(json.dumps(plain(value), indent=2, allow_nan=False))

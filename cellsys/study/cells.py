@@ -22,10 +22,10 @@ from cellsys.mechanics.contact import cell_names
 from cellsys.observe import PairReadout, alone_scenes, observe_neighbours, summary_of_run
 from cellsys.scene import Scene, build, run_ensemble, run_scene
 from cellsys.store import write_json, write_text
+from cellsys.study.files import plain, save_run
 from cellsys.study.measure import read_out_name
 from cellsys.study.reduced_cells import ReducedCells, check_model, reduced_cells
 from cellsys.study.report import _STYLE, _g, _image, _table
-from cellsys.study.run import plain, save_run
 from cellsys.trajectory import Trajectory
 
 Progress = Callable[[str, float], None]

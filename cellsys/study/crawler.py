@@ -14,10 +14,10 @@ import numpy as np
 from cellsys.figures import chain_displacement, crawler_run, save_png, sheet
 from cellsys.mechanics.crawler_run import CrawlRun, judge
 from cellsys.scene import Scene, build, run_scene
-from cellsys.store import save_archive, write_json, write_text
+from cellsys.store import write_json, write_text
+from cellsys.study.files import plain, save_run
 from cellsys.study.measure import read_out_name
 from cellsys.study.report import _STYLE, _g, _image, _table
-from cellsys.study.run import plain
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,18 +80,7 @@ def study_crawler(
         "integrator": run.statistics["integrator"],
         "full_order_s": run.statistics["wall_time"],
     }
-    save_archive(
-        folder / "run.npz",
-        "run",
-        1,
-        {"t": run.t, "x": np.asarray(run.x), "switch_times": crawl.switches()},
-        {
-            "label": run.label,
-            "states": [[b.name, list(b.shape), b.unit, b.role, b.kind] for b in run.states],
-            "statistics": plain(run.statistics),
-            "events": [e.name for e in run.events],
-        },
-    )
+    save_run(run, folder / "run.npz", {"switch_times": crawl.switches()})
     say("report", 0.2)
     figures = {}
     for draw in (crawler_run, chain_displacement):

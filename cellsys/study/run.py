@@ -28,9 +28,10 @@ from cellsys.reduction.assessment import encode_start
 from cellsys.reduction.basis import check_order
 from cellsys.response import Margins, margins, stability
 from cellsys.scene import ChainScene, Scene, build, load_scene, run_ensemble, training_scenes
-from cellsys.store import discard_partial, save_archive, write_json
+from cellsys.store import discard_partial, write_json
 from cellsys.study.coordinates import learn_coordinates
 from cellsys.study.equivariant import EquivariantStudy, study_equivariant, sweep_row
+from cellsys.study.files import plain, save_run
 from cellsys.study.floors import floor_scenes, measured_floors
 from cellsys.study.measure import OrderSweep, margin_table, read_out_name, sweep_orders
 from cellsys.trajectory import Trajectory
@@ -368,30 +369,3 @@ def _write(result: StudyResult, system: Any, data: Snapshots, say: Progress) -> 
     figures = write_figures(result, system, out / "figures")
     say("report", 0.8)
     write_report(result, figures, out / "report.html")
-
-
-def save_run(run: Trajectory, path: Path) -> None:
-    """Times, states, polarity and sensed direction of a run, with their names."""
-    arrays = {"t": run.t, "x": np.asarray(run.x)}
-    arrays |= {k: np.asarray(getattr(run, k)) for k in ("p", "d") if getattr(run, k) is not None}
-    described = {
-        "label": run.label,
-        "states": [[b.name, list(b.shape), b.unit, b.role, b.kind] for b in run.states],
-        "statistics": plain(run.statistics),
-    }
-    save_archive(path, "run", 1, arrays, described)
-
-
-def plain(value: Any) -> Any:
-    """Plain values; inf and NaN as strings, which JSON has no numbers for."""
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not np.isfinite(value):
-        return str(value)
-    return value
