@@ -90,6 +90,7 @@ def leave_one_out(
     """
     if isinstance(scene.matrix, ChainScene):
         raise SceneError("a scene with matrix.kind = 'chain' has no effects to leave out")
+    scene = dataclasses.replace(scene, until=None)  # all are compared at the same time
     if duration is not None:
         scene = dataclasses.replace(scene, duration=duration, sample=min(scene.sample, duration))
     tell = progress if progress is not None else lambda stage, share: None

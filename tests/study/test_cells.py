@@ -1,5 +1,6 @@
 """Scenes without a model of their own: several cells, none, none that is steered."""
 
+import dataclasses
 import json
 import tomllib
 
@@ -14,6 +15,7 @@ from cellsys.errors import ParameterError
 from cellsys.observe import alone_scenes, observe_neighbours
 from cellsys.scene import Scene, run_scene
 from cellsys.store import load_archive
+from cellsys.study.leave_one_out import leave_one_out
 from tests.reduction.equivariant.runs import model as trained
 from tests.study.scenes import TINY, tiny
 
@@ -125,8 +127,6 @@ def test_it_ends_at_contact_and_controls_are_as_long(tmp_path):
     ],
 )
 def test_presets_without_a_steered_cell(name, files, tmp_path):
-    import dataclasses
-
     short = dataclasses.replace(cs.load_scene(name), duration=10.0, sample=5.0)
     result = cs.study(short, tmp_path / "out")
     assert {p.stem for p in (tmp_path / "out" / "figures").iterdir()} == files
@@ -164,3 +164,15 @@ def test_an_error_is_kept_without_a_matrix_too(call, tmp_path):
     code, out, err = call("run", "free.toml", "--error", "0.05")
     assert code == 0, err
     assert "1 cell, 10 s" in out
+
+
+def test_leaving_out_compares_at_one_time():
+    """The whole scene would end at 14 s; without what moves the cells they never touch."""
+    close = PAIR.replace("-6 um", "-4.02 um").replace('"6 um"', '"4.02 um"')
+    close = close.replace('"60 deg"', '"0 deg"').replace('"-90 deg"', '"180 deg"')
+    whole = dataclasses.replace(scene(tiny(replace={ONE: "", "[effects]": close})), sample=2.0)
+    ending = dataclasses.replace(whole, until="contact")
+    assert run_scene(ending).t[-1] < 20 < whole.duration
+    first, second = ({w.effect: w.motion for w in leave_one_out(s)} for s in (whole, ending))
+    for name, motion in first.items():
+        assert second[name] == pytest.approx(motion, nan_ok=True)
