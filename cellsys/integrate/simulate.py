@@ -327,7 +327,7 @@ def _march(
         rng.bit_generator.state = meta["rng"]
     else:
         _sample(system, rows.arrays, 0, float(t[0]), x0)
-    began = clock.perf_counter()
+    began, count = clock.perf_counter(), len(t)
     for k in range(first, len(t) - 1):
         before = stepper.x.copy()
         eta, u = stepper.advance(float(t[k + 1]))
@@ -350,10 +350,11 @@ def _march(
         if progress is not None:
             progress(1.0 if ends else (k + 1) / (len(t) - 1))
         if ends:
+            count = k + 2
             break
     statistics = {**stepper.statistics, "wall_time": wall}
     if until is not None:
-        statistics["samples"] = k + 2
+        statistics["samples"] = count
     if getattr(integrator, "rtol", None) is None:
         statistics |= {"step": float(integrator.step), "estimate_is_quick": True}
     return statistics, tuple(stepper.events)

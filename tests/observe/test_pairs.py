@@ -199,6 +199,11 @@ def test_until_contact_is_checked():
         cs.Scene.parse(tomllib.loads(TINY) | {"until": "contact"})
     with pytest.raises(cs.SceneError, match="until must be"):
         dataclasses.replace(lone, until="tired")
+    system, never = cs.build(lone), lambda t, x: False
+    euler = cs.LinearlyImplicit(step=0.5)
+    assert len(cs.simulate(system, euler, [0.0], until=never)) == 1
+    assert len(cs.simulate(system, euler, [0.0, 1.0, 2.0], until=never)) == 3
+    assert len(cs.simulate(system, euler, [0.0, 1.0, 2.0], until=lambda t, x: t > 0.5)) == 2
     with pytest.raises(ParameterError, match="cannot end it on a condition"):
         cs.simulate(
             cs.build(lone), cs.DOP853(rtol=1e-3, atol=1e-6), lone.times, until=lambda t, x: True
