@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 import cellsys as cs
+from cellsys.accuracy.measures import motion, relative
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SHIFT = 5e-3  # um
@@ -108,20 +109,14 @@ def on_grid(run: cs.Trajectory, dt: float) -> cs.Trajectory:
     )
 
 
-def relative(found: np.ndarray, truth: np.ndarray) -> float:
-    """Norm of the difference over that of the truth."""
-    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
-
-
 def misses(found: cs.Trajectory, truth: cs.Trajectory) -> str:
     """Errors of cells, matrix and headings in words."""
     names = [b.name for b in truth.states if b.name.endswith(".position")]
-    moves = [np.concatenate([r.block(n) - r.block(n)[0] for n in names], axis=1)
-             for r in (found, truth)]  # fmt: skip
+    places = [np.concatenate([r.block(n) for n in names], axis=1) for r in (found, truth)]
     angle = [np.arctan2(r.p[..., 1], r.p[..., 0]) for r in (found, truth)]
     turn = np.degrees(np.angle(np.exp(1j * (angle[0] - angle[1]))))
     return (
-        f"cells {relative(*moves):.3f} of their motion, matrix "
+        f"cells {motion(*places):.3f} of their motion, matrix "
         f"{relative(found.block(MATRIX), truth.block(MATRIX)):.3f}, "
         f"heading {np.sqrt(np.mean(turn**2)):.1f} deg rms"
     )

@@ -10,7 +10,6 @@ fields, superposed isolated full-order fields, and what one cell alone does in t
 
 import argparse
 import dataclasses
-import itertools
 import tempfile
 import time
 from pathlib import Path
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import cellsys as cs
+from cellsys.accuracy.measures import relative
 
 SCENE = Path(__file__).parents[1] / "examples" / "spreading.toml"
 PLACES = (((-9.0, 0.0), (9.0, 0.0)), ((-10.0, 2.0), (8.0, -3.0)), ((-5.0, -8.0), (6.0, 7.0)))
@@ -61,20 +61,13 @@ def commands(scene, t: np.ndarray):
     """Amplitude and heading of every cell over the steps of t: means of the commands."""
 
     def mean(history, default):
-        if history is None:
-            return np.full(len(t) - 1, default)
-        inner = [np.linspace(a, b, 5) for a, b in itertools.pairwise(t)]
-        return np.array([np.mean([history(s) for s in times]) for times in inner])
+        return np.full(len(t) - 1, default) if history is None else history.means(t)
 
     each = [cell.commands for cell in scene.cells]
     return (
         np.column_stack([mean(c.amplitude, 1.0) for c in each]),
         np.column_stack([mean(c.heading, 0.0) for c in each]),
     )
-
-
-def relative(found: np.ndarray, truth: np.ndarray) -> float:
-    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
 
 
 def compare(model, field, scene, folder) -> dict[str, float]:

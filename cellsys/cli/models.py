@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,7 +11,6 @@ from cellsys.cli.console import Json, ModelFile, app, dump
 
 if TYPE_CHECKING:
     from cellsys.reduction import LatentModel
-    from cellsys.response import Margins
 
 
 @app.command()
@@ -115,19 +114,10 @@ def bode(
         draw(result, axes)
         save_png(figure, out)
     if as_json:
-        dump({**_margin_table(result), "set_apart": len(point.slow)})
+        dump({**result.table(), "set_apart": len(point.slow)})
         return
     print(f"{point}\n{result}")
     print(_verdict(loaded))
-
-
-def _margin_table(found: Margins) -> dict[str, Any]:
-    return {
-        "gain_margin": found.gain_margin,
-        "phase_margin_deg": found.phase_margin,
-        "delay_margin_s": found.delay_margin,
-        "closed_loop_stable": found.closed_loop_stable,
-    }
 
 
 def _bode_along(
@@ -152,7 +142,7 @@ def _bode_along(
         bode_family(found, axes)
         save_png(figure, out)
     if as_json:
-        dump({f"{t:g}": _margin_table(m) for t, m in found.items()})
+        dump({f"{t:g}": m.table() for t, m in found.items()})
         return
     for t, m in found.items():
         print(

@@ -59,9 +59,9 @@ def sample(
         windows = np.flatnonzero(lengths == h)
         group = _Group(system, flow, s, float(h), Y[:, windows], W[:, windows], tolerance)
         steps = 0 if unit is None else round(h / unit)
-        if steps >= 1 and abs(h / unit - steps) < 1e-6:  # type: ignore[operator]
-            for which, rows, z, y in group.on_grid(unit, steps):  # type: ignore[arg-type]
-                begin = round((edges[windows[which]] - t[0]) / unit)  # type: ignore[operator]
+        if unit is not None and steps >= 1 and abs(h / unit - steps) < 1e-6:
+            for which, rows, z, y in group.on_grid(unit, steps):
+                begin = round((edges[windows[which]] - t[0]) / unit)
                 first, last = np.searchsorted(index, [begin + 1, begin + steps + 1])
                 if last - first < steps:  # samples are left out of the grid
                     chosen = index[first:last] - begin - 1 - rows.start

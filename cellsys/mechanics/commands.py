@@ -49,6 +49,14 @@ class History:
         share = (t - self.times[k - 1]) / (self.times[k] - self.times[k - 1])
         return min(max((1.0 - share) * a + share * b, min(a, b)), max(a, b))
 
+    def means(self, t: np.ndarray) -> np.ndarray:
+        """Mean over every interval of the increasing times t (T,): (T - 1,), exact."""
+        inside = [k for k in self.times if t[0] < k < t[-1]]
+        knots = np.unique(np.concatenate([t, inside]))
+        values = np.array([self(k) for k in knots])
+        area = np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(knots)))
+        return np.diff(area[np.searchsorted(knots, t)]) / np.diff(t)
+
 
 @dataclass(frozen=True)
 class Commands:

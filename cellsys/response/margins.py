@@ -74,6 +74,15 @@ class Margins(Drawable):
     closed_loop_stable: bool
     loci: Loci
 
+    def table(self) -> dict[str, Any]:
+        """The figures of merit by name, deg and s."""
+        return {
+            "gain_margin": self.gain_margin,
+            "phase_margin_deg": self.phase_margin,
+            "delay_margin_s": self.delay_margin,
+            "closed_loop_stable": self.closed_loop_stable,
+        }
+
     def __str__(self) -> str:
         loop = "stable" if self.closed_loop_stable else "NOT stable: read these as distances"
         return (

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from cellsys.accuracy.measures import motion, relative
 from cellsys.errors import ParameterError
 from cellsys.loop import PolarityLaw
 from cellsys.population import FieldSensor, LoadPorts, couple
@@ -152,11 +152,8 @@ def _followed(scene: Scene, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for cell in scene.cells:
         told = _commands(scene, cell)
         for history, default in ((told.amplitude, 1.0), (told.heading, cell.polarity)):
-            if history is None:
-                columns.append(np.full(len(t) - 1, default))
-            else:
-                steps = [np.linspace(a, b, 5) for a, b in pairwise(t)]
-                columns.append(np.array([np.mean([history(s) for s in step]) for step in steps]))
+            held = np.full(len(t) - 1, default)
+            columns.append(held if history is None else history.means(t))
     return np.column_stack(columns[::2]), np.column_stack(columns[1::2])
 
 
@@ -170,8 +167,8 @@ def _compared(
 ) -> ReducedCells:
     names = [b.name for b in small.states if b.name.endswith(".position")]
 
-    def moved(r: Trajectory, rows: Any) -> np.ndarray:
-        return np.concatenate([(x := r.block(n)[rows]) - x[0] for n in names], axis=1)
+    def cells(r: Trajectory, rows: Any) -> np.ndarray:
+        return np.concatenate([r.block(n)[rows] for n in names], axis=1)
 
     u = run.block(MATRIX)[marks]
     summed = sum(r.block(MATRIX)[marks] for r in alone) if alone else np.full_like(u, np.nan)
@@ -183,14 +180,9 @@ def _compared(
     return ReducedCells(
         small,
         latent,
-        _relative(moved(small, slice(None)), moved(run, marks)),
-        _relative(small.block(MATRIX), u),
-        _relative(summed, u),
+        motion(cells(small, slice(None)), cells(run, marks)),
+        relative(small.block(MATRIX), u),
+        relative(summed, u),
         heading,
         steered,
     )
-
-
-def _relative(found: np.ndarray, truth: np.ndarray) -> float:
-    size = float(np.linalg.norm(truth))
-    return float(np.linalg.norm(found - truth)) / size if size else 0.0

@@ -1,6 +1,7 @@
 """Prescribed histories: heading and amplitude in a run, knots as stop points, parameter bounds."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -117,3 +118,12 @@ def test_a_cluster_of_the_default_kind_fails_at_430_pn():
     assert survives(425.0)
     assert not survives(435.0)
     assert e.bonds * e.bond_stiffness == 2000.0
+
+
+def test_means_are_exact_integrals():
+    told = History((2.0, 3.0, 7.0), (1.0, 5.0, -1.0))
+    t = np.array([0.0, 1.0, 2.5, 6.0, 6.5, 12.0])
+    fine = [np.linspace(a, b, 20001) for a, b in itertools.pairwise(t)]
+    wanted = [np.trapezoid([told(s) for s in part], part) / np.ptp(part) for part in fine]
+    np.testing.assert_allclose(told.means(t), wanted, rtol=1e-6)
+    assert np.array_equal(History((0.0,), (3.0,)).means(t), np.full(5, 3.0))
