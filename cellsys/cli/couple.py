@@ -70,9 +70,10 @@ def _couple(
 
 
 def _rows(poles: Any) -> list[dict[str, Any]]:
+    spread = [None] * len(poles.values) if poles.spread is None else poles.spread.tolist()
     return [
-        {"pole": [v.real, v.imag], "multiplicity": int(n)}
-        for v, n in zip(poles.values, poles.multiplicity, strict=True)
+        {"pole": [v.real, v.imag], "multiplicity": int(n), "spread": s}
+        for v, n, s in zip(poles.values, poles.multiplicity, spread, strict=True)
     ]
 
 
@@ -86,6 +87,7 @@ def _table(cells: Any, report: Any, poles: Any) -> dict[str, Any]:
         "verdict": report.verdict,
         "reason": report.reason,
         "spectral_abscissa": report.spectral_abscissa,
+        "abscissa_error": report.abscissa_error,
         "numerical_abscissa": report.numerical_abscissa,
         "integrators": report.integrators,
         "purely_matrix_directions": cells.rank.purely_field,

@@ -60,10 +60,16 @@ def poles(model: ModelFile, as_json: Json = False) -> None:
     from cellsys.study.run import plant_of
 
     loaded = _load(model)
-    table = damping(plant_of(loaded))
+    plant = plant_of(loaded)
+    table = damping(plant, certainty=loaded.certainty(discrete=plant.dt > 0))
     labelled = loaded.labelled_poles() if isinstance(loaded, EquivariantModel) else []
     if as_json:
-        result = {"poles": [[p.real, p.imag] for p in table.poles], "verdict": _verdict(loaded)}
+        result = {
+            "poles": [[p.real, p.imag] for p in table.poles],
+            "error_bounds": table.error_bound.tolist(),
+            "bounds": table.poles.note or "rounding",
+            "verdict": _verdict(loaded),
+        }
         if labelled:
             result["charges"] = [[p.value.real, p.value.imag, p.charge] for p in labelled]
         dump(result)
@@ -154,18 +160,20 @@ def _bode_along(
 
 @app.command()
 def stability(model: ModelFile, as_json: Json = False) -> None:
-    """Stability of a model's plant at working precision, with the reason."""
+    """Stability of a model's plant and the reason; open where rounding or the data leave it."""
     from cellsys.response import stability as judge
     from cellsys.study.run import plant_of
 
     loaded = _load(model)
-    report = judge(plant_of(loaded))
+    plant = plant_of(loaded)
+    report = judge(plant, certainty=loaded.certainty(discrete=plant.dt > 0))
     if as_json:
         dump(
             {
                 "verdict": report.verdict,
                 "reason": report.reason,
                 "spectral_abscissa": report.spectral_abscissa,
+                "abscissa_error": report.abscissa_error,
                 "numerical_abscissa": report.numerical_abscissa,
             }
         )

@@ -88,12 +88,12 @@ class Linearisation(Drawable):
 
     def __str__(self) -> str:
         where = "equilibrium" if self.residual < 1e-9 else "frozen time, not an equilibrium"
-        apart = (
-            f"; {len(self.slow)} slow poles set apart as integrators of absolute position "
-            f"(|pole| <= {np.abs(self.slow).max():.2g} 1/s)"
-            if len(self.slow)
-            else ""
-        )
+        apart = ""
+        if len(self.slow):
+            apart = (
+                f"; {len(self.slow)} slow poles set apart as integrators of absolute position "
+                f"(|pole| <= {np.abs(self.slow).max():.2g} 1/s)"
+            )
         return (
             f"linearised loop, order {len(self.A)}: spectral abscissa "
             f"{self.poles.real.max():.3g} 1/s; {where} (residual {self.residual:.2g} 1/s){apart}"
@@ -210,16 +210,15 @@ class ClosedLoop:
             a run. A trajectory of this loop: its last sample. "equilibrium": solved by Newton's
             method from the end of that run (a crawling cell usually has none; then refused).
         slower_than : float
-            Plant poles closer to zero than this, 1/s, are set apart (exactly, by decoupling);
-            1/T for a run of length T is the natural choice. Default: none.
+            Plant poles closer to zero than this, 1/s, are set apart (exactly, by decoupling),
+            those that grow beyond their error bound never; 1/T for a run of length T is natural.
         """
         z, p = self._point(at)
         A, B, b = self.model.continuous_matrices()
         length = float(np.linalg.norm(p))
         if not abs(p[2]) <= 1e-6 * length:
             raise DataError(
-                f"p = {np.array2string(p, precision=3)} points out of the substrate plane; the "
-                "loop is linearised for headings in it"
+                f"p = {p.round(3)} points out of the substrate plane; the loop is linearised in it"
             )
         tangent = np.array([-p[1], p[0], 0.0]) / np.hypot(p[0], p[1])
         B_heading = B @ self._features_slope(p)
@@ -240,7 +239,8 @@ class ClosedLoop:
             [A @ z + B @ np.asarray(self.commands(p)) + b, self.controller.rate(p, d)]
         )
         residual = float(np.linalg.norm(rate)) / max(1.0, float(np.linalg.norm(z)))
-        A, B_heading, S, slow = split_slow(A, B_heading[:, None], S[None], slower_than)
+        known = self.model.certainty() if slower_than > 0 else None
+        A, B_heading, S, slow = split_slow(A, B_heading[:, None], S[None], slower_than, known)
         B_heading, S = B_heading[:, 0], S[0]
         closed = np.block([[A, B_heading[:, None]], [kappa * S[None], -kappa * strength]])
         return Linearisation(closed, z, p, d, residual, kappa, A, B_heading, S, strength, slow)

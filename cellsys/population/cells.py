@@ -18,6 +18,7 @@ import scipy.linalg as sla
 
 from cellsys.drawable import Drawable
 from cellsys.errors import BudgetError
+from cellsys.population.certainty import block_certainty
 from cellsys.population.dense import dense_block
 from cellsys.population.forms import Block, eigenvalues_of_N
 from cellsys.population.graph import InteractionGraph
@@ -25,6 +26,7 @@ from cellsys.population.maps import field_rows
 from cellsys.population.modes import Modes, modes_of
 from cellsys.population.poleset import PoleSet, pole_set
 from cellsys.population.split import FieldSplit, field_split
+from cellsys.response.certainty import PoleCertainty
 
 DENSE_LIMIT = 4000
 POLE_LIMIT = 1_000_000
@@ -198,15 +200,21 @@ class CoupledCells(Drawable):
 
     # Poles
 
+    @cached_property
+    def block_certainty(self) -> tuple[list[PoleCertainty] | None, str]:
+        """What the data leave open of the poles of each matrix of `distinct(drop=False)`."""
+        return block_certainty(self)
+
     def _poles_of(self, *, drop: bool) -> PoleSet:
-        parts, dropped = [], 0
-        for M, n, zeros, omega in self.distinct(drop=drop):
-            values = sla.eigvals(M) if len(M) else np.zeros(0)
-            if not drop:
-                self._eigenvalues.append(values)
+        parts, dropped, spreads = [], 0, []
+        certainty, said = (None, "") if drop else self.block_certainty
+        for k, (M, n, zeros, omega) in enumerate(self.distinct(drop=drop)):
+            values = (sla.eigvals(M) if len(M) else np.zeros(0)) if drop else self.eigenvalues[k]
             parts.append((values, n, omega))
+            spreads.append(np.zeros(0) if certainty is None else certainty[k].spread)
             if zeros:
                 parts.append((np.zeros(1), zeros * n, omega))
+                spreads.append(np.zeros(1))
                 dropped += zeros * n
         alternative = None
         note = f"{self.coupling.name}, {self.route.split(':')[0]} route"
@@ -215,7 +223,8 @@ class CoupledCells(Drawable):
         if not drop and self.doubtful.size:
             alternative = self._poles_of(drop=True)
             note += f"; not determined by the data: {self.describe_doubt()}"
-        return pole_set(parts, note, alternative)
+        note += f"; {said}" if said else ""
+        return pole_set(parts, note, alternative, None if certainty is None else spreads)
 
     def describe_doubt(self) -> str:
         """The doubtful values in words."""
@@ -224,13 +233,10 @@ class CoupledCells(Drawable):
         return f"|1 + omega lambda| = {shown} lies below 1e-07"
 
     @cached_property
-    def _eigenvalues(self) -> list[np.ndarray]:
-        return []
-
     def eigenvalues(self) -> list[np.ndarray]:
         """Eigenvalues of each matrix of `distinct(drop=False)`, in its order."""
-        self.pole_set()
-        return self._eigenvalues
+        blocks = self.distinct(drop=False)
+        return [sla.eigvals(M) if len(M) else np.zeros(0) for M, _, _, _ in blocks]
 
     @cached_property
     def _poles(self) -> PoleSet:

@@ -321,20 +321,24 @@ class PortedCells(Drawable):
                 poles,
                 self.route,
             )
-        M = self.matrix()
-        if self.model.dt is not None:
-            size = np.abs(sla.eigvals(M)).max()
-            verdict = "stable" if size < 1 - 1e-12 else "not decided"
-            verdict = "unstable" if size > 1 + 1e-12 else verdict
-            top, error = float(np.log(size) / self.model.dt), 1e-12 / self.model.dt
-            integrators, numerical = 0, float(np.log(sla.norm(M, 2)) / self.model.dt)
-        else:
-            found = judge(M)
-            verdict, top, error = found.verdict, found.abscissa, found.error
-            integrators, numerical = found.integrators, found.numerical
-        reason = f"no certificate ({self.certificate}); this placement grows at {top:.4g} 1/s"
+        found = judge(self.matrix(), dt=0.0 if self.model.dt is None else float(self.model.dt))
+        said = {
+            "unstable": f"this placement grows at {found.abscissa:.4g} 1/s",
+            "stable": f"this placement decays, at {-found.abscissa:.4g} 1/s or faster",
+        }.get(
+            found.verdict,
+            f"the largest real part of this placement, {found.abscissa:.3g} 1/s, is known to +- "
+            f"{found.error:.1e} only",
+        )
         return CoupledStability(
-            verdict, reason, top, error, numerical, integrators, self._poles, self.route
+            found.verdict,
+            f"no certificate ({self.certificate}); {said}",
+            found.abscissa,
+            found.error,
+            found.numerical,
+            found.integrators,
+            self._poles,
+            self.route,
         )
 
     def plant(self) -> Any:

@@ -30,6 +30,9 @@ class PoleSet(Drawable):
         is purely matrix.
     alternative : PoleSet or None
         The poles with these directions counted as purely matrix; None when determined.
+    spread : array (n,) or None
+        How far each moves when a part of the data behind the cell is left out; None where that
+        is not known.
     """
 
     values: np.ndarray
@@ -38,6 +41,7 @@ class PoleSet(Drawable):
     note: str = ""
     determined: bool = True
     alternative: PoleSet | None = None
+    spread: np.ndarray | None = None
 
     _figure: ClassVar[str] = "coupled_poles"
 
@@ -62,10 +66,9 @@ class PoleSet(Drawable):
 
     def __str__(self) -> str:
         lines = [f"{self.count} poles, {len(self.values)} listed with multiplicities: {self.note}"]
-        lines += [
-            f"  {complex(v):.6g}  x {n}"
-            for v, n in zip(self.values[:20], self.multiplicity[:20], strict=True)
-        ]
+        for k, (v, n) in enumerate(zip(self.values[:20], self.multiplicity[:20], strict=True)):
+            known = "" if self.spread is None else f"  +- {self.spread[k]:.1e}"
+            lines.append(f"  {complex(v):.6g}{known}  x {n}")
         if len(self.values) > 20:
             lines.append(f"  ... and {len(self.values) - 20} more")
         if not self.determined and self.alternative is not None:
@@ -74,13 +77,17 @@ class PoleSet(Drawable):
 
 
 def pole_set(
-    parts: list[tuple[np.ndarray, int, float]], note: str, alternative: PoleSet | None
+    parts: list[tuple[np.ndarray, int, float]],
+    note: str,
+    alternative: PoleSet | None,
+    spreads: list[np.ndarray] | None = None,
 ) -> PoleSet:
-    """Sort and join (values, multiplicity, omega) of the blocks."""
+    """Sort and join (values, multiplicity, omega) of the blocks, and the spreads of the values."""
     values = np.concatenate([np.asarray(v, complex) for v, _, _ in parts])
     times = np.concatenate([np.full(len(v), n, dtype=np.int64) for v, n, _ in parts])
     omega = np.concatenate([np.full(len(v), w) for v, _, w in parts])
     order = np.lexsort((values.imag, -values.real))
+    spread = None if spreads is None else np.concatenate(spreads)[order]
     return PoleSet(
-        values[order], times[order], omega[order], note, alternative is None, alternative
+        values[order], times[order], omega[order], note, alternative is None, alternative, spread
     )

@@ -10,6 +10,7 @@ import scipy.linalg as sla
 
 from cellsys.drawable import Drawable
 from cellsys.population.poleset import PoleSet
+from cellsys.response.certainty import PoleCertainty, side, widened
 from cellsys.response.integrators import set_apart
 from cellsys.response.realization import balancing
 from cellsys.response.spectrum import backward_error, spectrum
@@ -72,38 +73,55 @@ class BlockVerdict:
     chain: int
 
 
-def judge(M: np.ndarray, eigenvalues: np.ndarray | None = None) -> BlockVerdict:
-    """Verdict on x' = M x from its poles and their error bounds; integrators set apart.
+def judge(
+    M: np.ndarray,
+    eigenvalues: np.ndarray | None = None,
+    certainty: PoleCertainty | None = None,
+    dt: float = 0.0,
+) -> BlockVerdict:
+    """Verdict on x' = M x, or x+ = M x of a step of `dt` s; integrators set apart.
 
-    `eigenvalues` of M, when they are known already.
+    From the poles and their error bounds, the larger of rounding and data. `eigenvalues` of M,
+    when they are known already. Rates in 1/s in both cases.
     """
+    discrete = dt > 0
     if not len(M):
         return BlockVerdict("stable", -np.inf, 0.0, -np.inf, 0, 0)
     balanced, scale = balancing(M)
     names = ("",) * len(M)
-    apart, rest = set_apart(balanced, scale, names, None, discrete=False)
+    apart, rest = set_apart(balanced, scale, names, None, discrete=discrete)
     B = rest.T @ balanced @ rest if apart.count else balanced
     chain = 0
     if apart.count and len(B):
-        chain = set_apart(B, np.ones(len(B)), ("",) * len(B), None, discrete=False)[0].count
-    numerical = float(
-        sla.eigh(0.5 * (M + M.T), eigvals_only=True, subset_by_index=(len(M) - 1, len(M) - 1))[0]
-    )
+        chain = set_apart(B, np.ones(len(B)), ("",) * len(B), None, discrete=discrete)[0].count
+    if discrete:
+        numerical = float(np.log(sla.norm(M, 2)) / dt)
+    else:
+        last = len(M) - 1
+        numerical = float(
+            sla.eigh(0.5 * (M + M.T), eigvals_only=True, subset_by_index=(last, last))[0]
+        )
     if not len(B):
         return BlockVerdict("stable", -np.inf, 0.0, numerical, apart.count, 0)
     found = sla.eigvals(B) if eigenvalues is None or apart.count else eigenvalues
-    top = float(found.real.max())
+    excess = np.abs(found) - 1.0 if discrete else found.real
+    unit = dt if discrete else 1.0  # of a rate: log(1 + excess) = excess near the circle
+    with np.errstate(divide="ignore"):  # every pole 0: gone after one step
+        top = float(np.log1p(excess.max()) / dt if discrete else excess.max())
     # Cheap sufficient test first: error bounds need the eigenvectors.
-    if top < 0 and chain == 0 and numerical < -backward_error(len(M), float(sla.norm(M))):
+    rounding = backward_error(len(M), float(sla.norm(M)))
+    contracts = not discrete and numerical < -rounding
+    if certainty is None and excess.max() < 0 and chain == 0 and contracts:
         return BlockVerdict("stable", top, 0.0, numerical, apart.count, 0)
-    known = spectrum(B, found)
-    if chain or np.any(found.real - known.bound > 0):
+    known = widened(spectrum(B, found), certainty, dt)
+    where = side(excess, known.bound)
+    if chain or np.any(where > 0):
         verdict = "unstable"
-    elif np.all(found.real + known.bound < 0):
+    elif np.all(where < 0):
         verdict = "stable"
     else:
         verdict = "not decided"
-    error = float((found.real + known.bound).max() - top)
+    error = float((excess + known.bound).max() - excess.max()) / unit
     return BlockVerdict(verdict, top, error, numerical, apart.count, chain)
 
 
@@ -118,8 +136,13 @@ def worst(verdicts: list[str]) -> str:
 def stability_of(cells: Any) -> CoupledStability:
     """Verdict on `CoupledCells` from its distinct blocks."""
     parts = cells.distinct(drop=False)
-    known = cells.eigenvalues()
-    found = [judge(M, values) for (M, _, _, _), values in zip(parts, known, strict=True)]
+    known = cells.eigenvalues
+    certainty, said = cells.block_certainty
+    open_ = [None] * len(parts) if certainty is None else certainty
+    found = [
+        judge(M, values, data)
+        for (M, _, _, _), values, data in zip(parts, known, open_, strict=True)
+    ]
     verdict = worst([f.verdict for f in found])
     top = max(found, key=lambda f: f.abscissa)
     integrators = sum(
@@ -138,7 +161,10 @@ def stability_of(cells: Any) -> CoupledStability:
         if always is not None:
             verdict, reason = "stable for every K", always
     else:
+        top = max(found, key=lambda f: f.abscissa + f.error)
         reason = f"the largest real part {top.abscissa:.3g} 1/s is known to +- {top.error:.1e} only"
+        if certainty is not None:
+            reason = f"not decided by the data: {reason} ({said})"
     if cells.doubtful.size:
         doubt = cells.describe_doubt()
         other = worst([judge(M).verdict for M, _, _, _ in cells.distinct(drop=True)])

@@ -2,26 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from cellsys.errors import IntegrationError
 from cellsys.reduction.baselines import command_baselines
-from cellsys.reduction.card import Card, verdict
+from cellsys.reduction.card import Card, resolution, verdict
+from cellsys.reduction.errors import mse, relative, root_mean_square
 from cellsys.reduction.model import LatentModel
-from cellsys.reduction.provenance import constant_commands, data_hash
+from cellsys.reduction.model_poles import fastest_growth
+from cellsys.reduction.provenance import constant_commands, data_hash, repeated_runs, repeats
 from cellsys.reduction.snapshots import RunData, Snapshots
+
+LARGEST = float(np.finfo(float).max)  # what an infinite error is written as
 
 
 def position_rows(data: Snapshots) -> dict[str, np.ndarray | slice]:
-    """Columns of x that are positions: of the cells, and of the matrix."""
-    rows = {
-        "cells": data.states.where(role="component", kind="position"),
-        "matrix": data.states.where(role="field", kind="position"),
-    }
-    return {k: _as_slice(v) for k, v in rows.items() if len(v)}
+    """Columns of x that are positions: ``cells`` and ``matrix``.
+
+    Data that are not known to be places in um are not called so: they are ``states`` and
+    ``field``.
+    """
+    rows = {}
+    for role, place, other in (("component", "cells", "states"), ("field", "matrix", "field")):
+        found = data.states.where(role=role, kind="position")
+        if len(found):
+            rows[place if _unit(data, role) == "um" else other] = _as_slice(found)
+    return rows
+
+
+def _unit(data: Snapshots, *roles: str) -> str:
+    """The one unit of the positions of these roles; empty without one."""
+    units = {b.unit for b in data.states if b.role in roles and b.kind == "position"} - {"1"}
+    return units.pop() if len(units) == 1 else ""
 
 
 def _as_slice(rows: np.ndarray) -> np.ndarray | slice:
@@ -87,11 +103,6 @@ def encode_run(model: LatentModel, run: RunData) -> np.ndarray:
     return z
 
 
-def _relative(error: np.ndarray, x: np.ndarray) -> float:
-    moved = float(np.linalg.norm(x - x[0]))
-    return float(np.linalg.norm(error)) / moved if moved > 0 else 0.0
-
-
 def run_errors(
     model: LatentModel,
     data: Snapshots,
@@ -111,32 +122,28 @@ def run_errors(
         error = np.full_like(true, np.inf) if predicted is None else predicted[:, cols] - true
         with np.errstate(over="ignore", invalid="ignore"):
             # An error this large is reported as divergence.
-            mse = float(np.mean(np.sum(error**2, axis=1)))
-            relative = _relative(error, true)
-        out[name] = {
-            "model": relative if np.isfinite(relative) else float(np.finfo(float).max),
-            **references[name],
-            "mse": mse if np.isfinite(mse) else float(np.finfo(float).max),
-        }
+            found = {"model": relative(error, true), **references[name], "mse": mse(error)}
+        out[name] = {k: v if np.isfinite(v) else LARGEST for k, v in found.items()}
     return out
 
 
 def baselines(
-    run: RunData, rows: Mapping[str, np.ndarray | slice], motion: np.ndarray
+    run: RunData, rows: Mapping[str, np.ndarray | slice], motion: np.ndarray | None
 ) -> dict[str, dict[str, float]]:
-    """Relative errors of what needs no model; `motion` (T, n) is the mean training motion."""
+    """Relative errors of what needs no model; `motion` (T, n) is the mean of other runs."""
     x = np.asarray(run.x)
     T = len(x)
+    out = {name: {"nothing moves": 1.0} for name in rows}
+    if motion is None:
+        return out
     mean = motion[np.minimum(np.arange(T), len(motion) - 1)]
     velocity = np.arange(T)[:, None] * (motion[-1] / max(len(motion) - 1, 1))
-    out = {}
     for name, cols in rows.items():
         true = x[:, cols]
         moved = true - true[0]
-        out[name] = {
-            "nothing moves": 1.0,
-            "mean velocity": _relative(velocity[:, cols] - moved, true),
-            "mean motion": _relative(mean[:, cols] - moved, true),
+        out[name] |= {
+            "mean velocity": relative(velocity[:, cols] - moved, true),
+            "mean motion": relative(mean[:, cols] - moved, true),
         }
     return out
 
@@ -148,34 +155,47 @@ def floors(
     x = np.asarray(run.x)
     nearest = model.reconstruct(latent[:, : model.order])
     return {
-        name: _relative(nearest[:, cols] - x[:-1, cols], x[:, cols]) for name, cols in rows.items()
+        name: relative(nearest[:, cols] - x[:-1, cols], x[:, cols]) for name, cols in rows.items()
     }
 
 
-def mean_motion(data: Snapshots) -> np.ndarray:
-    """Mean over runs of x(t) - x(0), (shortest T, n)."""
-    T = min(len(r.x) for r in data.runs)
-    return np.mean([np.asarray(r.x[:T]) - np.asarray(r.x[0]) for r in data.runs], axis=0)
+def mean_motion(data: Snapshots, leave: RunData | None = None) -> np.ndarray | None:
+    """Mean over runs of x(t) - x(0), (shortest T, n), of all but `leave`; None without others."""
+    others = [r for r in data.runs if r is not leave]
+    if not others:
+        return None
+    T = min(len(r.x) for r in others)
+    total = np.zeros((T, data.states.size))
+    for run in others:
+        total += np.asarray(run.x[:T]) - np.asarray(run.x[0])
+        run.release()
+    return total / len(others)
 
 
-def errors(model: LatentModel, data: Snapshots, known: Encoded) -> dict[str, dict[str, float]]:
-    """Root mean square over runs of `run_errors`, of the training or the held-out runs."""
+def errors(
+    model: LatentModel, data: Snapshots, known: Encoded, leave: Sequence[int] = ()
+) -> dict[str, dict[str, float]]:
+    """Root mean square over runs of `run_errors`, of the training or the held-out runs.
+
+    Runs of the numbers `leave` do not count. "resolution" is how far the mean of the model's
+    error over these runs can be told from the best baseline's: twice the standard error of the
+    difference, from three runs on.
+    """
     rows = position_rows(data)
     each = [
         run_errors(model, data, run, rows, known.references(model, data, i, rows))
         for i, run in enumerate(data.runs)
+        if i not in leave
     ]
-    return {
-        block: {
-            key: (
-                float(np.mean([min(e[block][key], 1e300) for e in each]))
-                if key == "mse"
-                else float(np.sqrt(np.mean(np.square([min(e[block][key], 1e150) for e in each]))))
-            )
-            for key in each[0][block]
+    out: dict[str, dict[str, float]] = {}
+    for block in rows if each else ():
+        found = {key: [e[block][key] for e in each] for key in each[0][block]}
+        out[block] = {
+            key: float(np.mean(np.minimum(v, 1e300))) if key == "mse" else root_mean_square(v)
+            for key, v in found.items()
         }
-        for block in rows
-    }
+        out[block]["resolution"] = resolution(found)
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,17 +206,19 @@ class Encoded:
     """
 
     runs: list[np.ndarray]
-    motion: np.ndarray
-    training: Snapshots | None = None
+    training: Snapshots
     read: dict = field(default_factory=dict, repr=False)
     kept: dict = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(
-        cls, model: LatentModel, data: Snapshots, motion: np.ndarray, training: Snapshots
-    ) -> Encoded:
-        """`model` is any model with the large basis, `motion` the mean training motion."""
-        return cls([encode_run(model, r) for r in data.runs], motion, training)
+    def of(cls, model: LatentModel, data: Snapshots, training: Snapshots) -> Encoded:
+        """`model` is any model with the large basis."""
+        return cls([encode_run(model, r) for r in data.runs], training)
+
+    @cached_property
+    def motion(self) -> np.ndarray | None:
+        """Mean motion of all training runs."""
+        return mean_motion(self.training)
 
     def references(
         self,
@@ -205,12 +227,17 @@ class Encoded:
         i: int,
         rows: Mapping[str, np.ndarray | slice],
     ) -> dict[str, dict[str, float]]:
-        """Floor at the model's order, and baselines, of run i, per block."""
+        """Floor at the model's order, and baselines, of run i, per block.
+
+        A baseline never knows the run it is measured on.
+        """
         if i not in self.kept:
-            self.kept[i] = baselines(data.runs[i], rows, self.motion)
-            if self.training is not None:
-                more = command_baselines(self.training, data.runs[i], rows, self.read)
-                self.kept[i] = {k: v | more.get(k, {}) for k, v in self.kept[i].items()}
+            run = data.runs[i]
+            own = any(run is r for r in self.training.runs)
+            motion = mean_motion(self.training, run) if own else self.motion
+            self.kept[i] = baselines(run, rows, motion)
+            more = command_baselines(self.training, run, rows, self.read)
+            self.kept[i] = {k: v | more.get(k, {}) for k, v in self.kept[i].items()}
         if (i, model.order) not in self.kept:
             self.kept[i, model.order] = floors(model, data.runs[i], rows, self.runs[i])
         floor = self.kept[i, model.order]
@@ -221,9 +248,8 @@ def encode_all(
     model: LatentModel, data: Snapshots, test: Snapshots | None
 ) -> tuple[Encoded, Encoded | None]:
     """Training and held-out runs in the basis of `model`."""
-    motion = mean_motion(data)
-    held = None if test is None else Encoded.of(model, test, motion, data)
-    return Encoded.of(model, data, motion, data), held
+    held = None if test is None else Encoded.of(model, test, data)
+    return Encoded.of(model, data, data), held
 
 
 def assess(
@@ -238,12 +264,13 @@ def assess(
     """
     training: dict = {}
     held_out: dict = {}
+    repeated = [] if test is None else repeated_runs(test, data)
     if model.V is not None and position_rows(data):
         encoded = encode_all(model, data, test) if encoded is None else encoded
         training = errors(model, data, encoded[0])
         if test is not None:
-            held_out = errors(model, test, encoded[1])
-    abscissa = model.growth()
+            held_out = errors(model, test, encoded[1], repeated)
+    abscissa, growth = model.growth(), fastest_growth(model.pole_set())
     return Card(
         order=model.order,
         method=str(model.notes.get("method", "given")),
@@ -255,7 +282,9 @@ def assess(
         training=training,
         held_out=held_out,
         input_share_explained=model.notes.get("input_share_explained"),
-        verdict=verdict(model.order, abscissa, training, held_out),
+        growth=growth,
+        unit=_unit(data, "component", "field"),
+        verdict=verdict(model.order, growth, training, held_out),
         facts={"data hashes": data_hash(data)},
-        warnings=constant_commands(data),
+        warnings=(*constant_commands(data), *repeats(repeated, test)),
     )

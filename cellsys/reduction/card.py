@@ -9,9 +9,11 @@ beside the projection floor (best any model in this basis can do) and the baseli
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
+
+import numpy as np
 
 DIVERGED = 1e6  # a relative error beyond this is reported as "diverges"
 
@@ -28,10 +30,16 @@ class Card:
     spectral_abscissa : float
         1/s, of the continuous poles.
     training, held_out : mapping
-        ``{block: {"model", "floor", "nothing moves", "mean velocity", "mean motion", "mse"}}``;
-        relative errors, and the model's MSE [thesis eq. 86] in um^2. Empty where not measured.
+        ``{block: {"model", "floor", "nothing moves", "mean velocity", "mean motion", "mse",
+        "resolution"}}``; relative errors, the model's MSE [thesis eq. 86: summed over the block's
+        coordinates, mean over samples] in `unit` squared, and the least difference that these
+        runs can tell. Empty where not measured.
     verdict : str
         One sentence.
+    growth : (rate, bound)
+        1/s, of the pole that most certainly grows: bound is the larger of rounding and data.
+    unit : str
+        Of the positions; empty where it is not known.
     facts : mapping
         What else is known of the model: data hashes, representation, certificates.
     floors : mapping
@@ -55,10 +63,14 @@ class Card:
     facts: Mapping[str, Any] = field(default_factory=dict)
     floors: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    growth: tuple[float, float] | None = None
+    unit: str = "um"
 
     def table(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return asdict(self) | {"runs": list(self.runs), "warnings": list(self.warnings)}
+        growth = None if self.growth is None else [float(np.clip(v, *_SPAN)) for v in self.growth]
+        lists = {"runs": list(self.runs), "warnings": list(self.warnings), "growth": growth}
+        return asdict(self) | lists
 
     def __str__(self) -> str:
         lines = [
@@ -66,14 +78,18 @@ class Card:
             f"{self.samples} samples x {self.columns} columns from {len(self.runs)} runs",
             f"spectral abscissa {self.spectral_abscissa:.3g} 1/s",
         ]
+        if self.growth is not None:
+            rate, bound = self.growth
+            lines[-1] += f"; most certain growth {rate:.3g} +- {bound:.1g} 1/s"
         if self.input_share_explained is not None:
             lines.append(
                 f"commands explain {100 * self.input_share_explained:.0f} % of the input u"
             )
         for title, rows in (("training", self.training), ("held out", self.held_out)):
             for block, row in rows.items():
+                square = f" {self.unit}^2" if self.unit else ""
                 parts = ", ".join(
-                    f"{k} {_number(v)}{' um^2' if k == 'mse' else ''}" for k, v in row.items()
+                    f"{k} {_number(v)}{square if k == 'mse' else ''}" for k, v in row.items()
                 )
                 lines.append(f"{title:9s} {block}: {parts}")
         for title, known in (("known", self.facts), ("floor", self.floors)):
@@ -81,6 +97,9 @@ class Card:
         lines += [f"warning: {text}" for text in self.warnings]
         lines.append(f"verdict: {self.verdict}")
         return "\n".join(lines)
+
+
+_SPAN = (-float(np.finfo(float).max), float(np.finfo(float).max))
 
 
 def _shown(value: Any) -> str:
@@ -105,34 +124,94 @@ def _number(value: float) -> str:
     return "diverges" if not value < DIVERGED else f"{value:.3g}"
 
 
+EXACT = 1e-6  # a share of the motion below which an error is that of rounding
+
+
+def resolution(rows: Mapping[str, Sequence[float]]) -> float:
+    """Least difference between a model's error and the best baseline's that these runs can tell.
+
+    `rows` hold one error a run. From three runs on: twice the standard error of the difference;
+    with fewer nothing is known of it, and it counts as 0.
+    """
+    known = [k for k in BASELINES if k in rows]
+    if len(rows["model"]) < 3 or not known:
+        return 0.0
+    values = {k: np.minimum(rows[k], DIVERGED) for k in ("model", *known)}
+    best = min(known, key=lambda k: float(np.mean(np.square(values[k]))))
+    apart = values["model"] - values[best]
+    return 2.0 * float(np.std(apart, ddof=1)) / float(np.sqrt(len(apart)))
+
+
+def compared(error: float, other: float, apart: float) -> str:
+    """``"better"``, ``"worse"`` or ``"not told apart"``: said only beyond `apart`.
+
+    Below `EXACT` both are rounding, whatever their ratio.
+    """
+    apart = max(apart, EXACT)
+    if error < other - apart:
+        return "better"
+    return "worse" if error > other + apart else "not told apart"
+
+
+def grows(growth: tuple[float, float]) -> str:
+    """What may be said of a (rate, bound) in 1/s: a growth only beyond its bound."""
+    rate, bound = growth
+    if rate > bound:
+        return f"; it has a growing mode ({rate:.2g} +- {bound:.1g} 1/s)"
+    if rate > 0:
+        return (
+            f"; whether its slowest mode grows ({rate:.2g} +- {bound:.1g} 1/s) is not decided by "
+            "the data"
+            if bound > 1e-9
+            else ""
+        )
+    return ""
+
+
 def verdict(
     order: int,
-    abscissa: float,
+    growth: tuple[float, float],
     training: Mapping[str, Mapping[str, float]],
     held_out: Mapping[str, Mapping[str, float]],
 ) -> str:
-    """One sentence on what the model can be trusted for."""
+    """One sentence on what the model can be trusted for.
+
+    Baselines count on held-out runs alone: what was fitted to a run says nothing by describing
+    it. `growth` is the rate and the bound, 1/s, of the fastest growing mode.
+    """
     shown = held_out or training
-    where = "held out" if held_out else "in training"
     if not shown:
-        return f"order {order}: not measured against data."
+        return f"order {order}: not measured against data{grows(growth)}."
     block, row = next(iter(shown.items()))
-    model, best_name = (
-        row["model"],
-        min((k for k in BASELINES if k in row), key=lambda k: row[k]),
-    )
-    best = row[best_name]
+    model = row["model"]
     if not model < DIVERGED:
-        text = f"order {order}: its roll-out diverges {where}; do not predict with it"
-    elif model >= best:
+        where = "held out" if held_out else "in training"
+        text = f"its roll-out diverges {where}; do not predict with it"
+    elif not held_out:
         text = (
-            f"order {order}: {where} its error on {block} is {model:.2f} of the motion, worse than "
-            f"{best_name} ({best:.2f}); do not predict with it"
+            f"no held-out run: training error only, {model:.2g} of the motion of {block} (its "
+            f"basis allows {row['floor']:.2g})"
         )
+        if model >= 1.0:
+            text += ", no better than nothing moves; do not predict with it"
     else:
-        text = (
-            f"order {order}: {where} its error on {block} is {model:.2f} of the motion, better "
-            f"than {best_name} ({best:.2f}); its basis allows {row['floor']:.2f}"
-        )
-    grows = f"; it has a growing mode ({abscissa:.2g} 1/s)" if abscissa > 0 else ""
-    return text + grows + "."
+        text = _against_baselines(block, row)
+    return f"order {order}: {text}{grows(growth)}."
+
+
+def _against_baselines(block: str, row: Mapping[str, float]) -> str:
+    """A held-out error beside the best baseline; better or worse only beyond the resolution."""
+    model, name = row["model"], min((k for k in BASELINES if k in row), key=lambda k: row[k])
+    best, apart = row[name], row.get("resolution", 0.0)
+    head = f"held out its error on {block} is {model:.2f} of the motion"
+    if max(model, best) <= EXACT:
+        return f"{head}, and so is that of {name}: these runs cannot tell a model from it"
+    word = compared(model, best, apart)
+    if word == "better":
+        return f"{head}, better than {name} ({best:.2f}); its basis allows {row['floor']:.2f}"
+    if word == "worse":
+        return f"{head}, worse than {name} ({best:.2f}); do not predict with it"
+    return (
+        f"{head}, not told apart from {name} ({best:.2f}) by these runs (+- {apart:.1g}); do not "
+        "predict with it"
+    )

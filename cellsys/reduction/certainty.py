@@ -1,59 +1,127 @@
-"""How certain the poles of a model are: refit with each training run left out."""
+"""How certain the poles of a model are: refit with a part of the data left out.
+
+The parts are the runs; groups of them where there are more than `GROUPS`; of a single run eight
+stretches of equal length.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
-from cellsys.drawable import Drawable
+from cellsys.errors import CellsysError, DataError
 from cellsys.reduction.basis import Basis, fit_basis
-from cellsys.reduction.model import LatentModel
-from cellsys.reduction.pcr import PCR
 from cellsys.reduction.regression import LatentParts, truncated
-from cellsys.reduction.snapshots import Snapshots
+from cellsys.reduction.snapshots import RunData, Snapshots
+from cellsys.response.certainty import PoleCertainty
 
-
-@dataclass(frozen=True, eq=False)
-class PoleCertainty(Drawable):
-    """Poles (m,) of a model, 1/s, and their spread (m,): the largest distance to the matched pole
-    when one training run is left out (0 for a single run: nothing is known).
-    """
-
-    poles: np.ndarray
-    spread: np.ndarray
-
-    _figure: ClassVar[str] = "pole_certainty"
+GROUPS = 20
+STRETCHES = 8
 
 
 def pole_certainty(
     data: Snapshots,
-    method: PCR,
+    method: Any,
     order: int,
     basis: Basis | None = None,
     parts: LatentParts | None = None,
 ) -> PoleCertainty:
-    """Poles of `PCR` and how far each moves, in one basis, when a run is left out.
+    """Poles of a reductor and how far each moves when a part of the data is left out.
 
-    Poles are matched by the assignment with the least total distance, not by sorting.
+    Models are refitted in one basis. Poles are matched by the assignment with the least total
+    distance, not by sorting.
+
+    Parameters
+    ----------
+    data : Snapshots
+    method : reductor
+    order : int
+    basis, parts : optional
+        Basis of at least that order, and the latent samples in it, to be reused.
+
+    Raises
+    ------
+    DataError
+        Where what is left over is too little to learn from.
     """
-    basis = truncated(basis, order) or fit_basis(data, order)
-    parts = LatentParts.of(data, basis) if parts is None else parts
+    if hasattr(method, "refit"):
+        basis = truncated(basis, order) or fit_basis(data, order, method=method.svd)
+        parts = (LatentParts.of(data, basis) if parts is None else parts).first(order)
+    model = method.fit(data, order, basis, parts)
+    known = refits(data, method, order, basis, parts)
+    if known is None:
+        raise DataError(
+            f"the data are too few to be learned from in parts: {data.n_samples} samples of "
+            f"{len(data.runs)} runs for order {order}; add runs or lower the order"
+        )
+    A, left_out = known
+    return replace(model, refits=A, left_out=left_out).certainty()
 
-    def fitted(rows: np.ndarray) -> np.ndarray:
-        A, _, _ = method.generator(data, basis, parts.where(rows))
-        return LatentModel(A, dt=data.dt).poles()
 
-    poles = fitted(np.ones(data.n_samples, bool))
-    spread = np.zeros(len(poles))
-    for i in range(len(data.runs)) if len(data.runs) > 1 else ():
-        other = fitted(parts.runs != i)
-        distance = np.abs(poles[:, None] - other[None, :])
-        rows, cols = linear_sum_assignment(np.where(np.isfinite(distance), distance, 1e6))
-        spread[rows] = np.maximum(spread[rows], distance[rows, cols])
-    # A pair that turns into two real poles is matched either way round: both get the larger.
-    partner = np.argmin(np.abs(poles[:, None] - poles.conj()[None, :]), axis=1)
-    spread = np.maximum(spread, spread[partner])
-    return PoleCertainty(poles, spread)
+def refits(
+    data: Snapshots,
+    method: Any,
+    order: int,
+    basis: Basis | None,
+    parts: LatentParts | None,
+) -> tuple[np.ndarray, str] | None:
+    """A (k, m, m) of the model learned without each part of the data, and what a part is.
+
+    None where what is left over is too little to learn from.
+    """
+    left_out = "run" if len(data.runs) > 1 else "stretch"
+    if len(data.runs) > GROUPS:
+        left_out = "group of runs"
+    found = []
+    try:
+        if hasattr(method, "refit"):
+            for kept in _kept_samples(data):
+                found.append(method.refit(data, basis, parts, kept))
+        else:
+            for rest in _kept_runs(data):
+                found.append(method.fit(rest, order, basis).A)
+    except CellsysError:
+        return None
+    return np.array(found), left_out
+
+
+def _dealt(count: int) -> list[np.ndarray]:
+    """Numbers of the runs of each group."""
+    return [np.arange(count)[k::GROUPS] for k in range(min(count, GROUPS))]
+
+
+def _stretches(usable: np.ndarray) -> list[np.ndarray]:
+    return np.array_split(usable, STRETCHES) if len(usable) >= 2 * STRETCHES else []
+
+
+def _kept_samples(data: Snapshots) -> Iterator[np.ndarray]:
+    """Masks (n_samples,) of what is kept, one for each part left out."""
+    runs = data.run_ids
+    if len(data.runs) > 1:
+        for group in _dealt(len(data.runs)):
+            yield ~np.isin(runs, group)
+        return
+    samples = data.runs[0].usable()
+    parts = _stretches(samples)
+    if not parts:
+        raise DataError(f"{len(samples)} samples are too few to leave some out")
+    for part in parts:
+        yield ~np.isin(samples, part)
+
+
+def _kept_runs(data: Snapshots) -> Iterator[Snapshots]:
+    """The data without each part."""
+    if len(data.runs) > 1:
+        for group in _dealt(len(data.runs)):
+            rest = tuple(r for i, r in enumerate(data.runs) if i not in group)
+            yield replace(data, runs=rest)
+        return
+    run: RunData = data.runs[0]
+    parts = _stretches(run.usable())
+    if not parts:
+        raise DataError(f"{run.n_pairs} samples are too few to leave some out")
+    for part in parts:
+        yield replace(data, runs=(replace(run, skip=(*run.skip, *(int(k) for k in part))),))

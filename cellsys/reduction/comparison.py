@@ -13,7 +13,7 @@ import numpy as np
 from cellsys.drawable import Drawable
 from cellsys.errors import CellsysError, ParameterError
 from cellsys.reduction.basis import check_order, fit_basis
-from cellsys.reduction.card import BASELINES, DIVERGED
+from cellsys.reduction.card import BASELINES, DIVERGED, compared
 from cellsys.reduction.contractive import Contractive
 from cellsys.reduction.least_squares import LeastSquares
 from cellsys.reduction.model import LatentModel
@@ -33,7 +33,9 @@ class ComparedModel:
     `error` is the relative roll-out error rc on `block` [theory.md 2], infinite where the model
     diverges; `floor` the projection floor; `abscissa` in 1/s and `radius` per step of the model
     (NaN for a continuous one); `fit_s` without the shared basis; `roll_out_ms` of one held-out
-    run, reconstruction left out (NaN where the model diverges).
+    run, reconstruction left out (NaN where the model diverges); `growth`, `growth_bound` in 1/s
+    of the pole that most certainly grows; `apart` the least difference to a baseline that these
+    runs can tell.
     """
 
     method: str
@@ -46,6 +48,9 @@ class ComparedModel:
     fit_s: float
     roll_out_ms: float
     verdict: str
+    growth: float = float("nan")
+    growth_bound: float = 0.0
+    apart: float = 0.0
 
     @property
     def diverges(self) -> bool:
@@ -87,8 +92,8 @@ class Comparison(Drawable):
         ]
         for r in self.rows:
             error = "diverges" if r.diverges else f"{r.error:.3g}"
-            lost = r.abscissa > 0 and not r.error < 1.0
-            note = f"   grows like exp({r.abscissa:.2g} t)" if lost else ""
+            lost = r.growth > r.growth_bound and not r.error < 1.0
+            note = f"   grows like exp({r.growth:.2g} t)" if lost else ""
             lines.append(
                 f"{r.method:>{width}s} {r.order:4d} {error:>9s} {r.floor:7.3g} "
                 f"{r.abscissa:13.2e} {r.radius:8.5f} {r.fit_s:7.2f} {r.roll_out_ms:12.2f}{note}"
@@ -103,10 +108,11 @@ class Comparison(Drawable):
         best = self.best
         if best.diverges:
             return "every model diverges on held-out runs; predict with none of them"
-        word = "better" if best.error < value else "worse"
-        lost = sum(r.diverges or r.error >= value for r in self.rows)
+        word = compared(best.error, value, best.apart)
+        word += " from" if word == "not told apart" else " than"
+        lost = sum(compared(r.error, value, r.apart) != "better" for r in self.rows)
         return (
-            f"best: {best.method} at order {best.order} with {best.error:.3g}, {word} than {name} "
+            f"best: {best.method} at order {best.order} with {best.error:.3g}, {word} {name} "
             f"({value:.3g}); {lost} of {len(self.rows)} models do not beat that"
         )
 
@@ -244,6 +250,8 @@ def _row(
         seconds,
         1e3 * _price(model, test) if fine else float("nan"),
         model.card.verdict,
+        *model.card.growth,
+        held.get("resolution", 0.0),
     )
 
 

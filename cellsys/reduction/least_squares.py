@@ -51,8 +51,7 @@ class LeastSquares:
         basis = truncated(basis, order) or fit_basis(data, order, method=self.svd)
         parts = (LatentParts.of(data, basis) if parts is None else parts).first(order)
         s = StepSamples.of(data, basis, parts, data.dt)
-        rate = (s.ahead - s.now) / data.dt - s.known
-        K, b, rank = regress(np.column_stack([s.now, s.inputs]), rate, True, self.rank_tolerance)
+        K, b, rank = self._solve(s)
         return learned_model(
             data,
             basis,
@@ -63,3 +62,14 @@ class LeastSquares:
             dt=data.dt,
             notes={"method": repr(self), "regression_rank": rank},
         )
+
+    def refit(
+        self, data: Snapshots, basis: Basis, parts: LatentParts, kept: np.ndarray
+    ) -> np.ndarray:
+        """A (m, m) from the samples `kept` (n_samples,) alone, in the same basis."""
+        samples = StepSamples.of(data, basis, parts, data.dt, kept)
+        return self._solve(samples)[0][: parts.now.shape[1]].T
+
+    def _solve(self, s: StepSamples) -> tuple[np.ndarray, np.ndarray, int]:
+        rate = (s.ahead - s.now) / s.step - s.known
+        return regress(np.column_stack([s.now, s.inputs]), rate, True, self.rank_tolerance)

@@ -20,9 +20,12 @@ from cellsys.errors import (
 )
 from cellsys.reduction.card import Card
 from cellsys.reduction.model_file import ARRAYS, is_equivariant, load_model, save_model
+from cellsys.reduction.model_poles import certainty_of, continuous_poles, pole_set
 from cellsys.reduction.sensor import StiffnessSensor
 from cellsys.reduction.steps import check_roll_out, hold, roll, to_continuous
 from cellsys.reduction.validity import Flag, TrainedRange
+from cellsys.response.certainty import PoleCertainty
+from cellsys.response.roots import RootSet
 from cellsys.system import Layout
 from cellsys.units import real_array, real_number
 
@@ -69,6 +72,9 @@ class LatentModel(Drawable):
     sensor : StiffnessSensor, optional
     card : Card, optional
         What the model is worth; see `cellsys.reduction.card`.
+    refits : (k, m, m), optional
+        A of the same model learned without a part of the data, 1/s; `left_out` says what a part
+        is ("run", "group of runs", "stretch"). See `certainty`.
 
     Raises
     ------
@@ -93,6 +99,8 @@ class LatentModel(Drawable):
     sensor: StiffnessSensor | None = None
     card: Card | None = None
     notes: Mapping[str, Any] = field(default_factory=dict)
+    refits: np.ndarray | None = None
+    left_out: str = "run"
 
     _figure: ClassVar[str] = "latent_model"
 
@@ -126,6 +134,8 @@ class LatentModel(Drawable):
         }
         if self.z_start is not None:
             shapes["z_start"] = (self.z_start.shape, (m,))
+        if self.refits is not None:
+            shapes["refits"] = (self.refits.shape, (*self.refits.shape[:1], m, m))
         if V is not None:
             rows = len(V)
             shapes |= {
@@ -147,7 +157,7 @@ class LatentModel(Drawable):
             if not np.all(np.isfinite(value)):
                 raise DataError(f"{name} holds NaN or inf; a model cannot be made from it")
             # A may hold any rate: its growth is what a roll-out is refused for.
-            if name != "A" and np.abs(value).max(initial=0.0) > 1e150:
+            if name not in ("A", "refits") and np.abs(value).max(initial=0.0) > 1e150:
                 raise DataError(
                     f"{name} holds {np.abs(value).max():.3g}, beyond 1e150: its squares are no "
                     "doubles; take other units"
@@ -258,17 +268,24 @@ class LatentModel(Drawable):
 
     def poles(self) -> np.ndarray:
         """Continuous poles (m,), 1/s: eig(A), or log(eig(I + dt A))/dt of a step model."""
-        if self.dt is None:
-            return sla.eigvals(self.A)
-        step = sla.eigvals(np.eye(self.order) + self.dt * self.A).astype(complex)
-        with np.errstate(divide="ignore"):
-            log = np.log(step)
-        # By parts: -inf (an eigenvalue 0) must not turn the imaginary part into NaN.
-        return log.real / self.dt + 1j * (log.imag / self.dt)
+        return continuous_poles(self.A, self.dt)
 
     def growth(self) -> float:
         """Spectral abscissa, 1/s: largest real part of the continuous poles."""
         return float(self.poles().real.max())
+
+    def certainty(self, *, discrete: bool = False) -> PoleCertainty | None:
+        """How far each pole moves when a part of the data is left out; None where not known.
+
+        Of the continuous poles, 1/s, or (`discrete`) of those of `plant(discrete=True)`.
+        """
+        if self.refits is None:
+            return None
+        return certainty_of(self.A, self.dt, self.refits, self.left_out, discrete=discrete)
+
+    def pole_set(self) -> RootSet:
+        """The poles, 1/s, each with a bound: the larger of rounding and `certainty`."""
+        return pole_set(self.A, self.dt, self.certainty())
 
     def predict(self, z0: np.ndarray, u: np.ndarray | None, t: np.ndarray) -> np.ndarray:
         """Roll the model out from z0 (m,) at the times t (T,); returns z (T, m).

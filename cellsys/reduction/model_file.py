@@ -12,7 +12,7 @@ from cellsys.reduction.card import Card
 from cellsys.store.archive import archive_kind, load_archive, save_archive
 from cellsys.system import Block, Layout
 
-ARRAYS = ("A", "B", "offset", "V", "mean", "scale", "singular_values", "z_start")
+ARRAYS = ("A", "B", "offset", "V", "mean", "scale", "singular_values", "z_start", "refits")
 _KIND, _VERSION = "latent model", 1
 EQUIVARIANT = "equivariant model"
 
@@ -36,6 +36,7 @@ def save_model(model: Any, path: str | Path) -> Path:
         "auxiliaries": layout_table(model.auxiliaries),
         "card": None if model.card is None else model.card.table(),
         "notes": dict(model.notes),
+        "left_out": model.left_out,
     }
     return save_archive(path, _KIND, _VERSION, arrays, metadata)
 
@@ -64,6 +65,7 @@ def load_model(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray] 
             "input_names": tuple(n + "" for n in meta["input_names"]),  # TypeError if no text
             "card": card_from(meta["card"]),
             "notes": dict(meta["notes"]),
+            "left_out": str(meta.get("left_out", "run")),
         }
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
@@ -73,9 +75,14 @@ def load_model(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray] 
 
 def card_from(table: dict[str, Any] | None) -> Card | None:
     """A card from its table."""
-    return None if table is None else Card(
-        **(table | {k: tuple(table.get(k, ())) for k in ("runs", "warnings")})
-    )
+    if table is None:
+        return None
+    tuples = {k: tuple(table.get(k, ())) for k in ("runs", "warnings")}
+    growth = table.get("growth")
+    if growth is not None:
+        rate, bound = growth
+        tuples["growth"] = (float(rate), float(bound))
+    return Card(**(table | tuples))
 
 
 def layout_table(layout: Layout | None) -> list | None:

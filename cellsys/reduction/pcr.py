@@ -103,6 +103,12 @@ class PCR:
             },
         )
 
+    def refit(
+        self, data: Snapshots, basis: Basis, parts: LatentParts, kept: np.ndarray
+    ) -> np.ndarray:
+        """A (m, m) from the samples `kept` (n_samples,) alone, in the same basis."""
+        return self.generator(data, basis, parts.where(kept))[0]
+
     def generator(
         self, data: Snapshots, basis: Basis, parts: LatentParts
     ) -> tuple[np.ndarray, np.ndarray, int]:

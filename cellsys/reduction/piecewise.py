@@ -16,10 +16,12 @@ from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.card import Card
 from cellsys.reduction.jacobian import linearised, rows_in, states_only
 from cellsys.reduction.model import LatentModel
+from cellsys.reduction.model_poles import fastest_growth, pole_set
 from cellsys.reduction.regression import LatentParts, input_map, learned_model
 from cellsys.reduction.sensor import StiffnessSensor
 from cellsys.reduction.snapshots import Snapshots
 from cellsys.reduction.steps import check_roll_out
+from cellsys.response.roots import RootSet
 from cellsys.system import OdeSystem
 
 _SHARP = 25.0  # beta of Rewienski & White: the nearest point weighs most
@@ -202,6 +204,11 @@ class PiecewiseModel(Drawable):
     def growth(self) -> float:
         """Largest spectral abscissa of all linearisations, 1/s."""
         return max(float(sla.eigvals(A).real.max()) for A in self.A)
+
+    def pole_set(self) -> RootSet:
+        """Poles of the linearisation that most certainly grows, with bounds of rounding."""
+        every = [pole_set(A, None, None) for A in self.A]
+        return max(every, key=lambda found: np.subtract(*fastest_growth(found)))
 
     # Overflow ends in inf or NaN, which is turned into an error.
     @np.errstate(over="ignore", invalid="ignore")

@@ -6,7 +6,7 @@ import hashlib
 
 import numpy as np
 
-from cellsys.reduction.snapshots import Snapshots
+from cellsys.reduction.snapshots import RunData, Snapshots, read_rows
 
 
 def data_hash(data: Snapshots) -> list[str]:
@@ -30,3 +30,39 @@ def constant_commands(data: Snapshots) -> tuple[str, ...]:
         "the training runs keep one heading each: up to a rotation they are one trajectory, so "
         "they cannot rank models; add turning commands",
     )
+
+
+_SAME = 1e-6  # of the motion: runs closer than this are one run
+
+
+def repeated_runs(test: Snapshots, known: Snapshots) -> list[int]:
+    """Numbers of the held-out runs that are a training run again, sample by sample.
+
+    What was fitted to the one was fitted to the other: no error on them is held out.
+    """
+    return [
+        i for i, run in enumerate(test.runs) if any(_same_run(run, other) for other in known.runs)
+    ]
+
+
+def repeats(numbers: list[int], test: Snapshots | None) -> tuple[str, ...]:
+    """A warning that names the held-out runs that do not count."""
+    if not numbers or test is None:
+        return ()
+    names = ", ".join(test.runs[i].label or f"run {i}" for i in numbers[:4])
+    more = f" and {len(numbers) - 4} more" if len(numbers) > 4 else ""
+    return (
+        f"held-out runs that are training runs again do not count: {names}{more}; hold out others",
+    )
+
+
+def _same_run(a: RunData, b: RunData) -> bool:
+    if a is b:
+        return True
+    last = min(len(a.x), len(b.x)) - 1
+    if a.x.shape[1] != b.x.shape[1] or last < 1:
+        return False
+    at = np.unique(np.linspace(0, last, 20).astype(int))
+    rows = [np.stack([read_rows(r.x, int(k), int(k) + 1)[0] for k in at]) for r in (a, b)]
+    moved = float(np.linalg.norm(rows[1] - rows[1][0]))
+    return float(np.linalg.norm(rows[0] - rows[1])) <= _SAME * moved

@@ -11,10 +11,11 @@ import numpy as np
 from cellsys.errors import ParameterError
 from cellsys.reduction.assessment import Encoded, assess, encode_all, encode_start
 from cellsys.reduction.basis import Basis, fit_basis
+from cellsys.reduction.certainty import refits
 from cellsys.reduction.equivariant.reductor import Equivariant
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.pcr import PCR
-from cellsys.reduction.regression import LatentParts
+from cellsys.reduction.regression import LatentParts, truncated
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import Snapshots
 from cellsys.reduction.validity import TrainedRange
@@ -65,7 +66,27 @@ def reduce(
         return method.learn(data, order, test)
     if order is None:
         order, basis = _order_for(data, float(tol), getattr(method, "svd", None))
-    return complete(method.fit(data, order, basis), data, test)
+    if not refits_cheaply(method):
+        return complete(method.fit(data, order, basis), data, test)
+    basis = truncated(basis, order) or fit_basis(data, order, method=method.svd)
+    parts = LatentParts.of(data, basis)
+    model = method.fit(data, order, basis, parts)
+    return complete(certain(model, data, method, basis, parts), data, test)
+
+
+def refits_cheaply(method: Any) -> bool:
+    """Whether the reductor is a regression in the common basis: its refits cost next to nothing."""
+    return hasattr(method, "refit") and not getattr(method, "own_basis", False)
+
+
+def certain(
+    model: LatentModel, data: Snapshots, method: Any, basis: Basis, parts: LatentParts
+) -> LatentModel:
+    """The model with what it becomes without each part of the data, where that can be known."""
+    found = refits(data, method, model.order, basis, parts.first(model.order))
+    if found is None:
+        return model
+    return dataclasses.replace(model, refits=found[0], left_out=found[1])
 
 
 def reduce_orders(
@@ -88,6 +109,8 @@ def reduce_orders(
     for method in methods:
         for order in orders:
             model = method.fit(data, order, basis, parts)
+            if refits_cheaply(method):
+                model = certain(model, data, method, truncated(basis, order), parts)
             if encoded is None:
                 large = LatentModel(
                     np.zeros((basis.V.shape[1],) * 2),

@@ -216,11 +216,18 @@ class StepSamples(NamedTuple):
     step: float
 
     @classmethod
-    def of(cls, data: Snapshots, basis: Basis, parts: LatentParts, step: float) -> StepSamples:
+    def of(
+        cls,
+        data: Snapshots,
+        basis: Basis,
+        parts: LatentParts,
+        step: float,
+        kept: np.ndarray | None = None,
+    ) -> StepSamples:
         """All pairs `step` s apart, overlapping ones included.
 
         Commands are learned. Without commands the u of a small system enters as it is, held at
-        its mean over the step.
+        its mean over the step. `kept` (n_samples,) leaves out pairs that touch another sample.
 
         Raises
         ------
@@ -235,6 +242,9 @@ class StepSamples(NamedTuple):
         same = (parts.runs[first] == parts.runs[last]) & (
             parts.samples[last] - parts.samples[first] == every - 1
         )
+        if kept is not None:
+            lost = np.concatenate([[0], np.cumsum(~kept)])
+            same &= lost[last + 1] == lost[first]
         first, last = first[same], last[same]
         if not len(first):
             raise DataError(f"no run has an uninterrupted stretch of {step:g} s; lower step=")

@@ -64,8 +64,7 @@ class Ridge:
         parts = (LatentParts.of(data, basis) if parts is None else parts).first(order)
         step = data.dt if self.step is None else float(self.step)
         s = StepSamples.of(data, basis, parts, step)
-        rate = (s.ahead - s.now) / step - s.known
-        K, b = ridge_regress(np.column_stack([s.now, s.inputs]), rate, self.ridge)
+        K, b = self._solve(s)
         return learned_model(
             data,
             basis,
@@ -76,6 +75,18 @@ class Ridge:
             dt=step,
             notes={"method": repr(self)},
         )
+
+    def refit(
+        self, data: Snapshots, basis: Basis, parts: LatentParts, kept: np.ndarray
+    ) -> np.ndarray:
+        """A (m, m) from the samples `kept` (n_samples,) alone, in the same basis."""
+        step = data.dt if self.step is None else float(self.step)
+        samples = StepSamples.of(data, basis, parts, step, kept)
+        return self._solve(samples)[0][: parts.now.shape[1]].T
+
+    def _solve(self, s: StepSamples) -> tuple[np.ndarray, np.ndarray]:
+        rate = (s.ahead - s.now) / s.step - s.known
+        return ridge_regress(np.column_stack([s.now, s.inputs]), rate, self.ridge)
 
 
 def ridge_regress(Z: np.ndarray, Y: np.ndarray, ridge: float) -> tuple[np.ndarray, np.ndarray]:

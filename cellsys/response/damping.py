@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from cellsys.drawable import Drawable
+from cellsys.response.certainty import PoleCertainty, side
 from cellsys.response.poles import poles
 from cellsys.response.roots import RootSet
 
@@ -25,11 +26,11 @@ class DampingTable(Drawable):
     damping : array
         Damping ratio -Re s / |s|; nan for s = 0 (an integrator).
     time_constant : array
-        -1 / Re s, s: negative for a growing mode, inf on the axis.
+        -1 / Re s, s: negative for a growing mode, inf on the axis (to within the error bound).
     condition : array
         Condition number of the eigenvalue.
     error_bound : array
-        Error bound of the pole.
+        Error bound of the pole; the larger of rounding and data where a certainty is given.
     cluster_size : int array
         Number of poles that cannot be told apart from it, itself included.
     """
@@ -48,7 +49,7 @@ class DampingTable(Drawable):
 
     def __str__(self) -> str:
         head = f"{'pole':>26} {'rad/s':>10} {'damping':>8} {'tau (s)':>10} {'cond':>8} {'+-':>8} n"
-        lines = [head]
+        lines = [head] if not self.poles.note else [self.poles.note, head]
         for i in range(min(len(self), 40)):
             s = complex(self.poles[i])
             lines.append(
@@ -61,7 +62,7 @@ class DampingTable(Drawable):
         return "\n".join(lines)
 
 
-def damping(sys: Any) -> DampingTable:
+def damping(sys: Any, *, certainty: PoleCertainty | None = None) -> DampingTable:
     """Damping table of the poles, of continuous and discrete systems.
 
         s = sigma + j omega:  frequency |s|,  ratio zeta = -sigma/|s|,  time constant -1/sigma
@@ -71,6 +72,8 @@ def damping(sys: Any) -> DampingTable:
     Parameters
     ----------
     sys : control.StateSpace or what `poles` takes
+    certainty : PoleCertainty, optional
+        See `poles`.
 
     Returns
     -------
@@ -81,14 +84,16 @@ def damping(sys: Any) -> DampingTable:
     DataError, DimensionError, ParameterError, BudgetError
         As for `poles`.
     """
-    found = poles(sys)
+    found = poles(sys, certainty=certainty)
     z = np.asarray(found)
     with np.errstate(divide="ignore", invalid="ignore"):
         s = np.log(z) / found.dt if found.dt > 0 else z
         size = np.abs(s)
         ratio = np.where(np.isinf(size), 1.0, -s.real / size)  # z = 0: gone after one step
         tau = -1.0 / s.real
-    tau = np.where(s.real == 0, np.inf, np.where(np.isinf(size), 0.0, tau))
+    excess = np.abs(z) - 1 if found.dt > 0 else z.real
+    on_axis = side(excess, found.error_bound) == 0
+    tau = np.where(on_axis, np.inf, np.where(np.isinf(size), 0.0, tau))
     ratio = np.where(size == 0, np.nan, ratio)
     return DampingTable(
         found, size, ratio, tau, found.condition, found.error_bound, found.cluster_size

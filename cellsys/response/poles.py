@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.response.certainty import PoleCertainty, data_note, widened
 from cellsys.response.realization import balancing, realization
 from cellsys.response.roots import RootSet, order
 from cellsys.response.spectrum import spectrum
 
 
-def poles(sys: Any) -> RootSet:
+def poles(sys: Any, *, certainty: PoleCertainty | None = None) -> RootSet:
     """Poles: eigenvalues of A, with condition numbers, error bounds and clusters.
 
         det(s I - A) = 0                    (all of them, also unobservable or uncontrollable ones)
@@ -23,6 +24,9 @@ def poles(sys: Any) -> RootSet:
     Parameters
     ----------
     sys : control.StateSpace, TransferFunction (SISO), tuple of arrays or matrix A
+    certainty : PoleCertainty, optional
+        What the data leave open of these poles (``model.certainty()``): each bound is then the
+        larger of the two.
 
     Returns
     -------
@@ -44,6 +48,7 @@ def poles(sys: Any) -> RootSet:
     values = values[order(values)]
 
     def detail(values: np.ndarray) -> Any:
-        return spectrum(A, values)
+        return widened(spectrum(A, values), certainty, system.dt)
 
-    return RootSet(values, kind="pole", dt=system.dt, detail=detail)
+    note = "" if certainty is None else data_note(certainty)
+    return RootSet(values, kind="pole", dt=system.dt, detail=detail, note=note)

@@ -11,6 +11,7 @@ import scipy.linalg as sla
 
 from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError
+from cellsys.response.certainty import PoleCertainty, data_note, side, widened
 from cellsys.response.growth import kreiss_lower, sampled_growth
 from cellsys.response.integrators import Integrators, set_apart
 from cellsys.response.lyapunov import LyapunovCertificate, certificate
@@ -122,28 +123,39 @@ def _excess(found: Spectrum, *, discrete: bool) -> np.ndarray:
 
 
 def _verdict(
-    found: Spectrum, low: float, delta: float, *, discrete: bool, chain: int
+    found: Spectrum, known: Spectrum, low: float, delta: float, *, discrete: bool, chain: int
 ) -> tuple[str, str]:
-    """Verdict and reason from the poles with bounds and the distance in balanced coordinates."""
+    """Verdict and reason from the poles with bounds and the distance in balanced coordinates.
+
+    `found` has the bounds of rounding alone, `known` the larger ones of rounding and data.
+    """
     n = len(found.values)
     if n == 0:
         return "stable", "no poles besides integrators"
     excess = _excess(found, discrete=discrete)
     i = int(np.argmax(excess))
     axis = "the unit circle" if discrete else "the imaginary axis"
-    bad = excess - found.bound > 0
+    where = side(excess, known.bound)
+    bad = where > 0
     if np.any(bad):
         j = int(np.argmax(np.where(bad, excess, -np.inf)))
         return "unstable", (
             f"{int(np.count_nonzero(bad))} poles beyond {axis} by more than their error bound, "
-            f"the worst {complex(found.values[j]):.6g} +- {found.bound[j]:.1e}"
+            f"the worst {complex(known.values[j]):.6g} +- {known.bound[j]:.1e}"
         )
     if chain > 0:
         return "unstable", (
             f"{chain} integrators in series (a defective pole on {axis}): grows without bound"
         )
-    if np.all(excess + found.bound < 0):
+    if np.all(where < 0):
         return "stable", f"every pole lies inside {axis} by more than its error bound"
+    open_ = (where == 0) & (known.bound > found.bound)
+    if np.any(open_):
+        j = int(np.argmax(np.where(open_, excess, -np.inf)))
+        return "not decided", (
+            f"not decided by the data: {int(np.count_nonzero(open_))} poles may lie on either side "
+            f"of {axis}, among them {complex(known.values[j]):.6g} +- {known.bound[j]:.1e}"
+        )
     if excess[i] < 0 and low > 2 * delta:
         return "stable", (
             f"no perturbation up to {low:.1e} reaches {axis}, and rounding is at most {delta:.1e}"
@@ -155,7 +167,11 @@ def _verdict(
 
 
 def stability(
-    sys: Any, *, epsilon: tuple[float, ...] = (), integrator_tol: float | None = None
+    sys: Any,
+    *,
+    epsilon: tuple[float, ...] = (),
+    integrator_tol: float | None = None,
+    certainty: PoleCertainty | None = None,
 ) -> StabilityReport:
     """Stability report that also holds for non-normal A.
 
@@ -174,6 +190,9 @@ def stability(
     integrator_tol : float, optional
         Singular values of the balanced A (of A - I) up to this count as integrators, 1/s; default
         10 n eps |A|_F. A learned model whose absolute position drifts slowly needs a larger one.
+    certainty : PoleCertainty, optional
+        What the data leave open of the poles (``model.certainty()``): bounds are then the larger
+        of the two, and a pole that the data leave on either side makes the verdict not decided.
 
     Returns
     -------
@@ -202,11 +221,12 @@ def stability(
     if apart.count:  # what is left may hold an integrator of the integrators
         blank = ("",) * len(B)
         chain = set_apart(B, np.ones(len(B)), blank, integrator_tol, discrete=discrete)[0].count
-    found = spectrum(B)
+    alone = spectrum(B)
+    found = widened(alone, certainty, system.dt)
     delta = backward_error(len(balanced), float(sla.norm(balanced)) if len(balanced) else 0.0)
     T = schur_matrix(B)
     low, high, point = distance_to_boundary(B, found.values, discrete=discrete, T=T)
-    verdict, reason = _verdict(found, low, delta, discrete=discrete, chain=chain)
+    verdict, reason = _verdict(alone, found, low, delta, discrete=discrete, chain=chain)
     if apart.count:
         reason += f"; set apart: {apart.count} integrators"
     excess = _excess(found, discrete=discrete)
@@ -254,20 +274,23 @@ def stability(
         },
         certificate=proof,
         integrators=apart,
-        poles=poles(system) if apart.count else _pole_set(found, system.dt),
+        poles=poles(system, certainty=certainty)
+        if apart.count
+        else _pole_set(found, system.dt, certainty),
         coordinates=coordinates,
         dt=system.dt,
         A=A,
     )
 
 
-def _pole_set(found: Spectrum, dt: float) -> RootSet:
+def _pole_set(found: Spectrum, dt: float, certainty: PoleCertainty | None) -> RootSet:
     rank = order(found.values)
     detail = replace(
         found, values=found.values[rank], condition=found.condition[rank],
         bound=found.bound[rank], cluster=found.cluster[rank],
     )
-    return RootSet(detail.values, kind="pole", dt=dt, detail=detail)
+    note = "" if certainty is None else data_note(certainty)
+    return RootSet(detail.values, kind="pole", dt=dt, detail=detail, note=note)
 
 
 def _numerical(A: np.ndarray, *, discrete: bool) -> float:

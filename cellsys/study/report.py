@@ -24,6 +24,7 @@ from cellsys.figures import (
     sheet,
 )
 from cellsys.mechanics.spreading import SpreadingSystem
+from cellsys.response.certainty import side
 from cellsys.store import write_text
 from cellsys.study.measure import read_out_name
 
@@ -60,7 +61,7 @@ def write_figures(result: Any, system: SpreadingSystem, folder: Path) -> dict[st
     small = result.model
     large = max((m for n, m in result.models if n == "PCR"), default=small.order)
     figure, axes = sheet((10, 4.4), 1, 2)
-    pole_map(result.certainty.poles, axes[0], spread=result.certainty.spread)
+    pole_map(np.asarray(result.poles), axes[0], spread=result.poles.error_bound)
     pole_map(result.models["PCR", large].poles(), axes[1])
     for ax, order in zip(axes, (small.order, large), strict=True):
         ax.set_title(f"PCR, m = {order}")
@@ -112,10 +113,17 @@ def _g(value: float, digits: int = 3) -> str:
     return "inf" if np.isinf(value) else f"{value:.{digits}g}"
 
 
+def _lasts(rate: float, bound: float) -> str:
+    """Time constant of a pole, s; in words where its sign is that of a growth, or not known."""
+    where = int(side(np.float64(rate), np.float64(bound)))
+    return {-1: _g(-1.0 / rate) if rate else "", 1: "grows"}.get(where, "not decided")
+
+
 def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
     """One HTML file with every figure inside, the card and the verdict."""
     summary, card = result.summary, result.model.card
     verdict = html.escape(card.verdict)
+    bounds = result.poles.note or "+-: rounding; the data are too few to leave some out"
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
         f"<title>{html.escape(result.scene.name)}</title><style>{_STYLE}</style></head><body>",
@@ -136,18 +144,18 @@ def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
         f"<h2>Poles of the reduced model</h2><p>{verdict}</p>",
         f"<p>{html.escape(summary['why_lower_order'])}</p>" if summary["why_lower_order"] else "",
         _image(figures["pole_map"], "pole maps"),
-        "<p class='note'>Circles: how far each pole moves when one training run is left out. "
-        f"Stability at working precision: {html.escape(summary['stability']['verdict'])}"
+        f"<p class='note'>Circles: how certain each pole is ({html.escape(bounds)}). "
+        f"Stability: {html.escape(summary['stability']['verdict'])}"
         f" ({html.escape(summary['stability']['reason'])}).</p>",
         _table(
             ("pole (1/s)", "certainty (1/s)", "time constant (s)"),
             [
                 (
                     f"{p['real']:.3g} {p['imag']:+.3g}j",
-                    _g(p["spread"], 2),
-                    _g(-1.0 / p["real"]) if p["real"] < 0 else "grows",
+                    _g(p["bound"], 2),
+                    _lasts(p["real"], p["bound"]),
                 )
-                for p in sorted(summary["poles"], key=lambda p: -p["real"])
+                for p in summary["poles"]
             ],
         ),
         "<h2>The polarity loop</h2>",

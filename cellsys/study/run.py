@@ -19,14 +19,12 @@ from cellsys.reduction import (
     PCR,
     LatentModel,
     LeastSquares,
-    PoleCertainty,
     Snapshots,
-    pole_certainty,
     snapshots,
 )
 from cellsys.reduction.assessment import encode_start
 from cellsys.reduction.basis import check_order
-from cellsys.response import Margins, margins, stability
+from cellsys.response import Margins, RootSet, margins, stability
 from cellsys.scene import ChainScene, Scene, build, load_scene, run_ensemble, training_scenes
 from cellsys.store import discard_partial, write_json
 from cellsys.study.coordinates import learn_coordinates
@@ -56,7 +54,8 @@ class StudyResult:
     model : LatentModel
         The plant of the loop: PCR at the order of the Bode plot.
     sweep : OrderSweep
-    certainty : PoleCertainty
+    poles : RootSet
+        Of the plant, 1/s, with the larger of the bounds of rounding and data.
     loop, reduced, linear, margins
         Closed loop, its simulation, linearisation and margins on kappa; None without polarity.
     summary : mapping
@@ -71,7 +70,7 @@ class StudyResult:
     models: Mapping[tuple[str, int], LatentModel]
     model: LatentModel
     sweep: OrderSweep
-    certainty: PoleCertainty
+    poles: RootSet
     loop: ClosedLoop | None
     reduced: Trajectory | None
     linear: Linearisation | None
@@ -91,9 +90,8 @@ class StudyResult:
         lines += ["", f"poles of the reduced model (PCR, m = {self.model.order}), 1/s:"]
         if self.summary["why_lower_order"]:
             lines.append(f"  ({self.summary['why_lower_order']})")
-        for k in np.argsort(-self.certainty.poles.real):
-            pole, spread = self.certainty.poles[k], self.certainty.spread[k]
-            lines.append(f"  {pole.real: .3e} {pole.imag:+.3e}j   +- {spread:.1e}")
+        for pole, bound in zip(np.asarray(self.poles), self.poles.error_bound, strict=True):
+            lines.append(f"  {pole.real: .3e} {pole.imag:+.3e}j   +- {bound:.1e}")
         stable = self.summary["stability"]
         lines += [f"  {stable['verdict']}: {stable['reason']}", ""]
         if self.margins is None:
@@ -200,7 +198,7 @@ def study(
         lambda share: say("reduced models", share),
     )
     plant, why_lower = _plant(models, order)
-    certainty = pole_certainty(data, PCR(), plant.order, learned.basis, learned.parts)
+    poles = plant.pole_set()
     say("loop", 0.0)
     loop, reduced, linear, loop_margins, why = _loop(scene, plant, main)
     say("loop", 1.0)
@@ -218,7 +216,8 @@ def study(
 
     system = build(scene)
     magnitudes = summary_of_run(main, system.matrix.position)
-    plant_report = stability(plant_of(plant))
+    whole = plant_of(plant)
+    plant_report = stability(whole, certainty=plant.certainty(discrete=whole.dt > 0))
     trust = f"PCR: {plant.card.verdict}"
     if charges.model is not None:
         trust = f"the equivariant model: {charges.model.card.verdict} {trust}"
@@ -230,8 +229,8 @@ def study(
         "step_residual_share": main.residual_share(),
         "card": plant.card.table(),
         "poles": [
-            {"real": float(p.real), "imag": float(p.imag), "spread": float(s)}
-            for p, s in zip(certainty.poles, certainty.spread, strict=True)
+            {"real": float(p.real), "imag": float(p.imag), "bound": float(b)}
+            for p, b in zip(np.asarray(poles), poles.error_bound, strict=True)
         ],
         "stability": {"verdict": plant_report.verdict, "reason": plant_report.reason},
         "margins": None if loop_margins is None else margin_table(loop_margins),
@@ -248,7 +247,7 @@ def study(
         models,
         plant,
         sweep,
-        certainty,
+        poles,
         loop,
         reduced,
         linear,

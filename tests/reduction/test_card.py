@@ -22,9 +22,11 @@ from cellsys.reduction import (
 )
 from cellsys.reduction.assessment import encode_run, mean_motion, position_rows
 from cellsys.reduction.card import verdict
+from cellsys.reduction.equivariant.worth import block_errors
+from cellsys.reduction.errors import mse
 from tests.reduction.systems import linear_runs, one_step_data, stable_matrix, state_data
 
-NAMES = {"model", "floor", "nothing moves", "mean velocity", "mean motion", "mse"}
+NAMES = {"model", "floor", "nothing moves", "mean velocity", "mean motion", "mse", "resolution"}
 
 
 @pytest.fixture(scope="module")
@@ -114,19 +116,24 @@ def test_verdict_words():
                       "mean motion": 0.6, "mse": 1.0}
         }  # fmt: skip
 
-    better = verdict(7, -0.1, row(0.3), {})
+    better = verdict(7, (-0.1, 0.0), {}, row(0.3))
     assert better == (
-        "order 7: in training its error on cells is 0.30 of the motion, better than mean motion "
+        "order 7: held out its error on cells is 0.30 of the motion, better than mean motion "
         "(0.60); its basis allows 0.10."
     )
-    worse = verdict(7, 0.2, row(0.3), row(0.7))
+    worse = verdict(7, (0.2, 0.01), row(0.3), row(0.7))
     assert "held out its error on cells is 0.70 of the motion, worse than mean motion" in worse
-    assert worse.endswith("do not predict with it; it has a growing mode (0.2 1/s).")
+    assert worse.endswith("do not predict with it; it has a growing mode (0.2 +- 0.01 1/s).")
+    near = row(0.62)
+    near["cells"]["resolution"] = 0.05
+    assert "not told apart from mean motion (0.60)" in verdict(7, (-0.1, 0.0), {}, near)
+    open_ = verdict(7, (0.2, 0.3), {}, row(0.3))
+    assert "whether its slowest mode grows (0.2 +- 0.3 1/s) is not decided by the data" in open_
     for huge in (1e7, float("inf"), float("nan"), np.finfo(float).max):
         assert "its roll-out diverges held out; do not predict with it" in verdict(
-            7, -1.0, {}, row(huge)
+            7, (-1.0, 0.0), {}, row(huge)
         )
-    assert verdict(7, -1.0, {}, {}) == "order 7: not measured against data."
+    assert verdict(7, (-1.0, 0.0), {}, {}) == "order 7: not measured against data."
 
 
 def test_a_diverging_model_says_so_in_plain_numbers(linear):
@@ -182,21 +189,14 @@ def test_position_rows_are_positions_only():
     assert position_rows(data) == {"cells": slice(0, 4), "matrix": slice(4, 8)}
 
 
-def test_certainty_of_poles():
-    rng = np.random.default_rng(4)
-    A, dt = stable_matrix(4, rng), 0.1
-    data = one_step_data(seed=9, runs=5, T=60)
-    result = pole_certainty(data, PCR(), 6)
-    assert np.array_equal(result.poles, PCR().fit(data, 6, fit_basis(data, 6)).poles())
-    assert result.spread.shape == (6,)
-    assert np.all(result.spread > 0)
-    assert np.all(pole_certainty(one_step_data(runs=1), PCR(), 3).spread == 0)
-    assert A.shape == (4, 4)
-    assert dt == 0.1
-    # in the training basis: the order of the runs does not matter
-    turned = dataclasses.replace(data, runs=data.runs[::-1])
-    again = pole_certainty(turned, PCR(), 6)
-    assert np.abs(np.sort(again.spread) - np.sort(result.spread)).max() < 1e-6
+def test_mse_is_equation_86_whatever_the_block_looks_like():
+    """(1/T) sum_t e_t^T e_t: summed over coordinates, for tables and for nodes alike."""
+    error = np.random.default_rng(0).standard_normal((7, 5, 3))
+    by_hand = sum(float(e.ravel() @ e.ravel()) for e in error) / 7
+    assert mse(error) == pytest.approx(by_hand, rel=1e-14)
+    assert mse(error.reshape(7, 15)) == pytest.approx(by_hand, rel=1e-14)
+    found = block_errors(error, np.zeros_like(error) + np.arange(7)[:, None, None])
+    assert found["mse"] == pytest.approx(mse(error - np.arange(7)[:, None, None]), rel=1e-14)
 
 
 def test_models_draw_themselves():

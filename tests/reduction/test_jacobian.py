@@ -71,7 +71,7 @@ def test_a_linear_system_is_predicted_exactly_with_its_input():
     z = model.predict(model.encode(runs[1].x[0]), np.asarray(data.runs[1].u), runs[1].t)
     # the reference's tolerance, 1e-10 a step, over 80 samples
     assert np.abs(model.reconstruct(z) - runs[1].x).max() < 1e-7
-    assert model.card.training["cells"]["model"] < 1e-6
+    assert model.card.training["states"]["model"] < 1e-6
 
 
 def test_states_that_are_not_learned_are_held():
@@ -139,7 +139,7 @@ def test_a_piecewise_model_has_a_card_like_any_other():
     system = cubic()
     model = reduce(snapshots(runs_of(system, STARTS)), order=2, method=TPWL(system, 4))
     assert "TPWL(OdeSystem, points=4)" in str(model.card)
-    assert model.card.training["cells"]["model"] > 0
+    assert model.card.training["states"]["model"] > 0
 
 
 def test_refusals():

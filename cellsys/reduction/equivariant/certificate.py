@@ -16,7 +16,8 @@ from cellsys.reduction.equivariant.worth import (
     representation_error,
 )
 from cellsys.reduction.local_sensor import StiffnessMap, fit_local_sensor, nodal_moments
-from cellsys.reduction.provenance import constant_commands, data_hash
+from cellsys.reduction.model_poles import fastest_growth
+from cellsys.reduction.provenance import constant_commands, data_hash, repeated_runs, repeats
 from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
 from cellsys.reduction.snapshots import Snapshots
 
@@ -26,12 +27,16 @@ def card_of(
     data: Snapshots,
     records: Sequence[CellRecord],
     held_out: Sequence[CellRecord] = (),
+    test: Snapshots | None = None,
 ) -> Card:
     """Errors on training and held-out records beside floors and baselines, and what is certain."""
     baselines = Baselines(tuple(records), model)
     training = measure(model, records, baselines)
-    held = measure(model, held_out, baselines) if held_out else {}
-    growth = max(p.value.real for p in model.labelled_poles())
+    repeated = [] if test is None else repeated_runs(test, data)
+    counted = [r for r in held_out if r.run not in repeated]
+    held = measure(model, counted, baselines) if counted else {}
+    abscissa = max(p.value.real for p in model.labelled_poles())
+    growth = fastest_growth(model.pole_set())
     norm = model.dynamics.norm()
     index = model.dynamics.passivity_index()
     facts: dict[str, Any] = {
@@ -58,12 +63,13 @@ def card_of(
         samples=sum(r.steps for r in records),
         columns=data.n_columns,
         runs=tuple(r.label for r in records),
-        spectral_abscissa=float(growth),
+        spectral_abscissa=float(abscissa),
+        growth=growth,
         training=training,
         held_out=held,
         verdict=text,
         facts=facts,
-        warnings=constant_commands(data),
+        warnings=(*constant_commands(data), *repeats(repeated, test)),
     )
 
 

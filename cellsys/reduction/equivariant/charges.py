@@ -79,3 +79,13 @@ def command_features(amplitude: np.ndarray, heading: np.ndarray, q: int) -> np.n
     more = np.asarray(amplitude) - 1.0
     powers = np.stack([np.ones_like(more), more, more * more], axis=-1)
     return powers if q == 0 else powers * np.exp(1j * q * np.asarray(heading))[..., None]
+
+
+def harmonic_names(cell: str) -> tuple[str, ...]:
+    """Inputs of the frozen plant: a, a^2, then (cos, sin) of q theta plain, times a, times a^2."""
+    names = [f"{cell}.amplitude", f"{cell}.amplitude_squared"]
+    for q in range(1, TOP + 1):
+        suffix = "" if q == 1 else str(q)
+        for weight in ("unit_", "", "squared_"):
+            names += [f"{cell}.{weight}cos{suffix}", f"{cell}.{weight}sin{suffix}"]
+    return tuple(names)

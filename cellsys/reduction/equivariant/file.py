@@ -46,6 +46,8 @@ def write_parts(model: Any, path: str | Path) -> Path:
         arrays |= {f"{name} {k}": getattr(read, k) for k in ("R_z", "R_u", "R_y")}
     if model.z_start is not None:
         arrays["z_start"] = model.z_start
+    if model.refits is not None:
+        arrays["refits"] = model.refits
     if model.bands is not None:
         arrays |= {f"band {k}": v for k, v in model.bands.width.items()}
         arrays["band times"] = model.bands.t
@@ -71,6 +73,7 @@ def write_parts(model: Any, path: str | Path) -> Path:
         if model.bands is None
         else [list(model.bands.levels), model.bands.folds, model.bands.runs],
         "monitor": None if model.monitor is None else asdict(model.monitor),
+        "left_out": model.left_out,
     }
     return save_archive(path, EQUIVARIANT, VERSION, arrays, metadata)
 
@@ -134,6 +137,8 @@ def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
             "notes": meta["notes"],
             "bands": _bands(arrays, meta["bands"]),
             "monitor": _monitor(meta["monitor"]),
+            "refits": arrays.get("refits"),
+            "left_out": str(meta.get("left_out", "run")),
         }
     except (KeyError, TypeError, ValueError) as error:
         raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error

@@ -12,7 +12,7 @@ import scipy.linalg as sla
 
 from cellsys.errors import DataError, DimensionError, FileFormatError, RepresentationError
 from cellsys.reduction.card import Card
-from cellsys.reduction.equivariant.charges import TOP
+from cellsys.reduction.equivariant.charges import harmonic_names
 from cellsys.reduction.equivariant.dynamics import CellDynamics, CellState
 from cellsys.reduction.equivariant.file import read_parts, write_parts
 from cellsys.reduction.equivariant.forecast import ErrorBands, Forecast, ValidityMonitor
@@ -32,16 +32,6 @@ class Pole:
     value: complex
     charge: int
     multiplicity: int
-
-
-def harmonic_names(cell: str) -> tuple[str, ...]:
-    """Inputs of the frozen plant: a, a^2, then (cos, sin) of q theta plain, times a, times a^2."""
-    names = [f"{cell}.amplitude", f"{cell}.amplitude_squared"]
-    for q in range(1, TOP + 1):
-        suffix = "" if q == 1 else str(q)
-        for weight in ("unit_", "", "squared_"):
-            names += [f"{cell}.{weight}cos{suffix}", f"{cell}.{weight}sin{suffix}"]
-    return tuple(names)
 
 
 class EquivariantModel(LatentModel):
@@ -69,6 +59,8 @@ class EquivariantModel(LatentModel):
         Half widths that `forecast` returns.
     monitor : ValidityMonitor, optional
         Trained ranges that `forecast` checks.
+    refits, left_out : optional
+        As of a `LatentModel`: A of the models behind the error bands.
     """
 
     _figure: ClassVar[str] = "equivariant_model"
@@ -90,6 +82,8 @@ class EquivariantModel(LatentModel):
         notes: Mapping[str, Any] | None = None,
         bands: ErrorBands | None = None,
         monitor: ValidityMonitor | None = None,
+        refits: np.ndarray | None = None,
+        left_out: str = "run",
     ) -> None:
         for name, value in (
             ("bands", bands),
@@ -116,6 +110,8 @@ class EquivariantModel(LatentModel):
             sensor=sensor,
             card=card,
             notes={"method": "Equivariant", "horizon_s": float(horizon), **(notes or {})},
+            refits=refits,
+            left_out=left_out,
         )
 
     def carrying(
@@ -127,6 +123,8 @@ class EquivariantModel(LatentModel):
         notes: Mapping[str, Any] | None = None,
         bands: ErrorBands | None = None,
         monitor: ValidityMonitor | None = None,
+        refits: np.ndarray | None = None,
+        left_out: str | None = None,
     ) -> EquivariantModel:
         """The same model with what is given put in place of its own."""
         return EquivariantModel(
@@ -144,6 +142,8 @@ class EquivariantModel(LatentModel):
             notes=self.notes if notes is None else notes,
             bands=self.bands if bands is None else bands,
             monitor=self.monitor if monitor is None else monitor,
+            refits=self.refits if refits is None else refits,
+            left_out=self.left_out if left_out is None else left_out,
         )
 
     # What a charge model does not have

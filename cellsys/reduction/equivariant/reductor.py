@@ -187,25 +187,28 @@ class Equivariant:
         model = self.fit_records(records, data, order, sites)
         bands = None
         if self.folds and len(data.runs) >= 3:
-            misses = self.left_out(records, data, order, sites)
+            misses, others = self.left_out(records, data, order, sites)
             bands = conformal_bands(misses, self.step, min(self.folds, len(data.runs)))
+            part = "run" if len(others) == len(data.runs) else "group of runs"
+            model = model.carrying(refits=np.array(others), left_out=part)
         model = model.carrying(bands=bands, monitor=ValidityMonitor.of(model, records))
         model = model.carrying(sensor=sensor_of(model, data, records, test, held))
-        return model.carrying(card=card_of(model, data, records, held))
+        return model.carrying(card=card_of(model, data, records, held, test))
 
     def left_out(
         self, records: Sequence[CellRecord], data: Snapshots, order: int, sites: PortSites
-    ) -> list[dict[str, np.ndarray]]:
-        """Residuals of every record under a model that saw none of its run."""
+    ) -> tuple[list[dict[str, np.ndarray]], list[np.ndarray]]:
+        """Residuals of every record under a model that saw none of its run, and each model's A."""
         runs = sorted({r.run for r in records})
         folds = min(self.folds, len(runs))
-        misses = []
+        misses, generators = [], []
         for fold in range(folds):
             out = set(runs[fold::folds])
             kept = [r for r in records if r.run not in out]
             model = self.fit_records(kept, data, order, sites)
+            generators.append(model.A)
             misses += [residuals(model, r, roll_record(model, r)) for r in records if r.run in out]
-        return misses
+        return misses, generators
 
     def _represent(
         self, records: Sequence[CellRecord]

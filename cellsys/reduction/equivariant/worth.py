@@ -14,22 +14,18 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.reduction.card import resolution
 from cellsys.reduction.equivariant.charges import turn
 from cellsys.reduction.equivariant.model import EquivariantModel
 from cellsys.reduction.equivariant.records import CellRecord
 from cellsys.reduction.equivariant.representation import CHARGES
+from cellsys.reduction.errors import mse, relative, root_mean_square
 
 Path = tuple[np.ndarray, "list[dict[int, np.ndarray]] | None"]
 
 
-def relative(error: np.ndarray, truth: np.ndarray) -> float:
-    """rms(error) / rms(truth - start); 0 where nothing moves."""
-    moved = float(np.linalg.norm(truth - truth[0]))
-    return float(np.linalg.norm(error)) / moved if moved > 0 else 0.0
-
-
 def block_errors(nodes: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """Relative errors of node positions (K + 1, n, 3) per block, and the MSE of `cells`, um^2."""
+    """Relative errors of node positions (K + 1, n, 3) per block, and the MSE of them all, um^2."""
     inside = nodes - nodes.mean(axis=1, keepdims=True)
     inside_truth = truth - truth.mean(axis=1, keepdims=True)
     plane, plane_truth = nodes.mean(axis=1)[:, :2], truth.mean(axis=1)[:, :2]
@@ -37,7 +33,7 @@ def block_errors(nodes: np.ndarray, truth: np.ndarray) -> dict[str, float]:
         "cells": relative(nodes - truth, truth),
         "shape": relative(inside - inside_truth, inside_truth),
         "centroid": relative(plane - plane_truth, plane_truth),
-        "mse": float(np.mean(np.sum((nodes - truth) ** 2, axis=2))),
+        "mse": mse(nodes - truth),
     }
 
 
@@ -170,9 +166,10 @@ def measure(
 def _summary(values: dict[str, list[float]]) -> dict[str, float]:
     out = {}
     for key, each in values.items():
-        out[key] = float(np.mean(each) if key == "mse" else np.sqrt(np.mean(np.square(each))))
+        out[key] = float(np.mean(each)) if key == "mse" else root_mean_square(each)
         if key == "model":
             out["spread over runs"] = float(np.std(each))
+    out["resolution"] = resolution(values)
     if "body-frame mean" in values:
         pairs = zip(values["model"], values["body-frame mean"], strict=True)
         out["runs better than body-frame mean"] = float(np.mean([m < b for m, b in pairs]))
