@@ -1,4 +1,7 @@
-"""Bode plot and margins of the polarity loop; the gain margin checked by sweeping kappa.
+"""Bode plot and margins of the polarity loop on PCR and least squares, which do not predict.
+
+The thesis's reductors, with their verdicts; the gain margin is checked by sweeping kappa. For the
+plant that predicts see `examples/closed_loop.py`.
 
 python analysis/bode.py [--quick] [--runs DIR] [--out DIR]
 """
@@ -31,12 +34,11 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
         loop = cs.closed_loop(model, controller=cs.PolarityLaw(kappa=1 / 60))
         point = loop.linearize(scene.training.duration, slower_than=1.0 / scene.training.duration)
         result = cs.margins(loop.open_loop(point))
-        print(f"{model.card.method}\n{point}\n{result}")
+        print(f"{model.card.method}: {model.card.verdict}\n{point}\n{result}")
         factors = np.geomspace(1e-2, 1e3, 60)
-        unstable = [np.linalg.eigvals(point.closed(f)).real.max() > 0 for f in factors]
-        print(f"kappa swept over {factors[0]:g} .. {factors[-1]:g} times its value: ", end="")
-        print("stable throughout" if not any(unstable) else f"{sum(unstable)} of 60 unstable")
-        print(f"{model.card.verdict}\n")
+        said = [cs.stability(point.closed(f)).verdict for f in factors]
+        counts = ", ".join(f"{said.count(v)} {v}" for v in sorted(set(said)))
+        print(f"kappa swept over {factors[0]:g} .. {factors[-1]:g} times its value: {counts}\n")
         drawn = result if drawn is None else drawn
     if out is not None:
         from cellsys.figures import bode, save_png, sheet

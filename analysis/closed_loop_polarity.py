@@ -1,4 +1,4 @@
-"""The polarity loop, reduced against full-order, from several initial polarities.
+"""The polarity loop on PCR, which does not predict, against full-order, from several headings.
 
 python analysis/closed_loop_polarity.py [--quick] [--runs DIR] [--out DIR]
 """
@@ -37,6 +37,7 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
         data = cs.snapshots(ran[: len(train)])
         model = cs.reduce(data, order=order, method=cs.PCR())
         truth = [(r.t, np.array(r.p)) for r in ran[len(train) :]]
+    print(model.card.verdict)
     curves = {}
     for start, (t, p) in zip(starts, truth, strict=True):
         loop = cs.closed_loop(model, controller=cs.PolarityLaw(), p0=p[0, 0])
@@ -47,7 +48,6 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
             f"{heading(run.p)[-1]:7.1f} (reduced); error {np.sqrt(np.mean(gap**2)):.1f} deg rms"
         )
         curves[start] = (t, heading(p), heading(run.p))
-    print(model.card.verdict)
     if out is not None:
         from cellsys.figures import save_png, sheet
 

@@ -57,8 +57,10 @@ def theorem(model: cs.LatentModel) -> None:
     print(f"  naive dense pseudo-inverse, K = 2: largest real part {dense.real.max():.3g} 1/s")
 
 
-def against_K(model: cs.LatentModel, P_map, numbers, folder) -> None:
-    forms = (cs.Superposition(), cs.MappedSuperposition(P_map=P_map), cs.Feedback())
+def against_K(model: cs.LatentModel, P_map: cs.ForceMap, numbers, folder) -> None:
+    # [93] projects on the matrix's forces, and so does its P_map [88, 89]
+    mapped = cs.MappedSuperposition(P_map=P_map, rows="forces")
+    forms = (cs.Superposition(), mapped, cs.Feedback())
     drawn = []
     for form in forms:
         sets = []
@@ -167,18 +169,22 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
     model, latent = learn(quick, runs)
     print(f"cell: {model.card.verdict if model.card else ''}")
     print(f"split of its basis: {cs.couple(model, 2).rank}")
-    field = model.blocks["field"]
-    on_cell = np.arange(model.n_states, len(model.V))
-    fitted = cs.fit_P_map(
-        model, latent, cell_rows=np.setdiff1d(on_cell, field), field="forces", tol=1e-3
-    )
+    # the adhesion forces on the membrane, and nothing else of the cell's laws
+    laws = model.auxiliaries
+    on_cell = [
+        model.n_states + k
+        for b in laws
+        if b.name == "cell1.focal_adhesion"
+        for k in range(laws.slice(b.name).start, laws.slice(b.name).stop)
+    ]
+    fitted = cs.fit_P_map(model, latent, cell_rows=on_cell, field="forces", tol=1e-3)
     print(
         f"P_map from the training run: |P_map| = {np.linalg.norm(fitted.matrix, 2):.3g}, residual "
         f"{fitted.residual:.2g}, {fitted.dropped} directions not in the data"
     )
     theorem(model)
     numbers = (1, 2, 10, 100)
-    against_K(model, fitted.matrix, numbers, folder)
+    against_K(model, fitted, numbers, folder)
     load_ports(numbers[:3] if quick else numbers)
     closed_loops(model, latent, numbers, 60.0 if quick else 1500.0)
 

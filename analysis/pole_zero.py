@@ -1,4 +1,4 @@
-"""Poles of the reduced model at several orders, with their certainty, and its zeros.
+"""Poles of PCR models, which do not predict, at several orders with their certainty; zeros.
 
 python analysis/pole_zero.py [--quick] [--runs DIR] [--out DIR]
 """
@@ -26,18 +26,17 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
         ran = cs.run_ensemble(train + held_out, runs or scratch)
         data, test = cs.snapshots(ran[: len(train)]), cs.snapshots(ran[len(train) :])
         models = list(cs.reduce_orders(data, [cs.PCR()], orders, test))
-        certainty = cs.pole_certainty(data, cs.PCR(), orders[0])
     for model in models:
-        poles = model.poles()
+        poles = model.pole_set()
+        growing = int(np.sum(poles.real > poles.error_bound))
         print(
-            f"m = {model.order}: {int(np.sum(poles.real > 0))} poles with Re > 0, largest "
-            f"{poles.real.max():.3g} 1/s, largest |Im| {np.abs(poles.imag).max():.3g} rad/s"
+            f"m = {model.order}: {int(np.sum(poles.real > 0))} poles with Re > 0, {growing} of "
+            f"them beyond their bound, largest {poles.real.max():.3g} 1/s, largest |Im| "
+            f"{np.abs(poles.imag).max():.3g} rad/s"
         )
         print(f"  {model.card.verdict}")
     small = models[0]
-    print(f"poles at m = {small.order} and how far each moves when one run is left out (1/s):")
-    for k in np.argsort(-certainty.poles.real):
-        print(f"  {certainty.poles[k]:.4g}  +- {certainty.spread[k]:.2g}")
+    print(f"m = {small.order}: {small.pole_set()}")
     # Zeros depend on what is read: here the sensed direction, from the first command.
     plant = small.plant(output=small.sensor.S_d[:2], output_names=["d_x", "d_y"])
     print(f"zeros from the commands to the sensed direction: {len(cs.zeros(plant))}")
@@ -46,8 +45,8 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
 
         figure, axes = sheet((10, 4.4), 1, 2)
         for ax, model in zip(axes, models, strict=True):
-            spread = certainty.spread if model is small else None
-            pole_map(certainty.poles if model is small else model.poles(), ax, spread=spread)
+            poles = model.pole_set()
+            pole_map(np.asarray(poles), ax, spread=poles.error_bound if model is small else None)
             ax.set_title(f"PCR, m = {model.order}")
         save_png(figure, Path(out) / "pole_zero.png")
 

@@ -1,4 +1,4 @@
-"""The polarity loop on a reduced plant: simulate it, cut it open, read the margins on kappa."""
+"""The polarity loop on a reduced cell that predicts: simulate it, cut it open, read the margins."""
 
 import argparse
 import dataclasses
@@ -12,21 +12,23 @@ import cellsys as cs
 SCENE = Path(__file__).with_name("spreading.toml")
 
 
-def main(quick: bool = False, out: str | None = None) -> cs.ClosedLoop:
+def main(quick: bool = False, out: str | None = None) -> cs.ScheduledLoop:
     scene = cs.load_scene(SCENE)
     if quick:
-        plan = dataclasses.replace(scene.training, runs=4, held_out=1, duration=60.0)
+        plan = dataclasses.replace(scene.training, runs=4, held_out=1, duration=120.0)
         scene = dataclasses.replace(scene, training=plan)
     with tempfile.TemporaryDirectory() as scratch:
-        train, _ = cs.training_scenes(scene)
-        data = cs.snapshots(cs.run_ensemble(train, out or scratch))
-        model = cs.reduce(data, order=3 if quick else 10, method=cs.LeastSquares())
-    loop = cs.closed_loop(model, controller=cs.PolarityLaw(kappa=1 / 60))
-    t = np.linspace(0.0, scene.training.duration, 61)
-    run = loop.simulate(t, cs.CVODES(rtol=1e-8, atol=1e-8), p0=[0.0, 1.0, 0.0])
+        train, held_out = cs.training_scenes(scene)
+        runs = cs.run_ensemble(train + held_out, out or scratch)
+        data, test = cs.snapshots(runs[: len(train)]), cs.snapshots(runs[len(train) :])
+        order, method = (12, cs.Equivariant(folds=0)) if quick else (50, cs.Equivariant())
+        model = cs.reduce(data, order=order, method=method, test=test)
+    print(model.card.verdict)  # a loop is worth what its plant is
+    loop = cs.closed_loop(model, controller=cs.PolarityLaw(kappa=1 / 60), p0=[0.0, 1.0, 0.0])
+    run = loop.simulate(np.arange(0.0, scene.training.duration + 1, 10.0))
     turned = np.degrees(np.arctan2(run.p[:, 0, 1], run.p[:, 0, 0]))
     print(f"heading: {turned[0]:.0f} deg at the start, {turned[-1]:.0f} deg at the end")
-    point = loop.linearize(run, slower_than=1.0 / t[-1])
+    point = loop.linearize(run.t[-1], slower_than=1.0 / run.t[-1])
     print(point)
     print(cs.margins(loop.open_loop(point)))
     return loop

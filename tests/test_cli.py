@@ -246,7 +246,7 @@ def test_reduce_csv_and_npz(call, tmp_path):
 def test_reduce_run_folder(call, run_folder, tmp_path):
     code, out, err = call("reduce", run_folder, "--order", 3, "-o", "m.npz")
     assert (code, err) == (0, "")
-    assert "verdict: order 3: in training" in out
+    assert "verdict: order 3: no held-out run: training error only" in out
     code, out, _ = call("poles", "m.npz")
     assert code == 0
     assert "verdict: order 3" in out

@@ -88,7 +88,7 @@ def couple(
         raise DimensionError(f"numbers of cells differ: {sizes}")
     K = next(iter(sizes.values()))
     basis_of(model, coupling.name)
-    field_rows(model, coupling.rows, coupling.name)
+    coupling.check_rows(field_rows(model, coupling.rows, coupling.name))
     coupling.extra(model.order)
     if headings is not None and (headings.shape != (K,) or not np.all(np.isfinite(headings))):
         raise DimensionError(f"headings must be {K} finite angles in rad")

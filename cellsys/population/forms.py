@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.population.maps import ForceMap
 from cellsys.population.split import DOUBTFUL, EPS, FieldSplit
 from cellsys.units import real_array
 
@@ -114,6 +115,9 @@ class _Form:
         """Whether N^# stands on the right."""
         return True
 
+    def check_rows(self, rows: np.ndarray) -> None:
+        """Refuse matrix rows that do not go with the form's own maps."""
+
     def block(
         self, split: FieldSplit, A: np.ndarray, omega: float, *, rotate: bool, drop: bool = False
     ) -> Block:
@@ -188,7 +192,8 @@ class MappedSuperposition(_Form):
     Parameters
     ----------
     P_map : (m, m) or ForceMap
-        R = I + P_map; see `fit_P_map`. Zero gives `Superposition`.
+        R = I + P_map; see `fit_P_map`. Zero gives `Superposition`. A `ForceMap` goes with the
+        rows it was fitted on, in [93] the matrix's forces: ``rows="forces"``.
     """
 
     P_map: Any
@@ -198,6 +203,19 @@ class MappedSuperposition(_Form):
         """P_map, or None when it is zero."""
         P_map = _map(self.P_map, "P_map", m)
         return P_map if np.any(P_map) else None
+
+    def check_rows(self, rows: np.ndarray) -> None:
+        """P and P_map are of the same rows.
+
+        Raises
+        ------
+        ParameterError
+        """
+        if isinstance(self.P_map, ForceMap) and not np.array_equal(rows, self.P_map.rows):
+            raise ParameterError(
+                f"P_map was fitted on {len(self.P_map.rows)} rows of V and rows={self.rows!r} "
+                f'couples on {len(rows)}; take the same, rows="forces" in [93]'
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -148,12 +148,15 @@ class ForceMap:
         opposite, nan when no pairs were given.
     dropped : int
         Directions of P_F z that the data do not span; P_map is zero on them.
+    rows : int array
+        Rows of V that P_F was made of: a coupling with this map takes the same ones.
     """
 
     matrix: np.ndarray
     residual: float
     mismatch: float
     dropped: int
+    rows: np.ndarray
 
 
 def fit_P_map(
@@ -200,7 +203,8 @@ def fit_P_map(
         raise ParameterError("P_map is fitted to cell_rows= or to pairs=; give one of them")
     if not (np.isfinite(tol) and 0 <= tol < 1):
         raise ParameterError(f"tol must be in [0, 1), got {tol!r}")
-    V_F = V[field_rows(model, field, "P_map")]
+    rows = field_rows(model, field, "P_map")
+    V_F = V[rows]
     mismatch = float("nan")
     if pairs is None:
         V_c = V[np.asarray(list(cell_rows), dtype=int)]
@@ -217,4 +221,4 @@ def fit_P_map(
     matrix = ((Wt[:rank].T / s[:rank]) @ (U[:, :rank].T @ target)).T
     size = float(np.linalg.norm(target))
     left = float(np.linalg.norm(known @ matrix.T - target))
-    return ForceMap(matrix, left / size if size > 0 else 0.0, mismatch, len(s) - rank)
+    return ForceMap(matrix, left / size if size > 0 else 0.0, mismatch, len(s) - rank, rows)

@@ -16,6 +16,8 @@ MOST = 1e150  # its square is still a double
 _ROUNDING = 1e-13  # of the size of the places: below it nothing has moved
 
 
+# An error whose square is no double is reported as inf: divergence.
+@np.errstate(over="ignore", invalid="ignore")
 def relative(error: np.ndarray, truth: np.ndarray) -> float:
     """rms(error) / rms(truth - start), axis 0 is time; "nothing moves" scores 1.
 
@@ -28,6 +30,7 @@ def relative(error: np.ndarray, truth: np.ndarray) -> float:
     return 0.0 if missed <= nothing else float("inf")
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def mse(error: np.ndarray) -> float:
     """Mean over samples (axis 0) of the sum of squares over everything else."""
     return float(np.mean(np.sum(np.reshape(error, (len(error), -1)) ** 2, axis=1)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from cellsys.errors import FileFormatError
 from cellsys.reduction import Basis, Snapshots
-from cellsys.reduction.assessment import Encoded, encode_all, mean_motion
+from cellsys.reduction.assessment import Encoded, encode_all
 from cellsys.reduction.basis import fit_basis
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.regression import LatentParts
@@ -90,5 +90,4 @@ def _unpack(arrays: dict, meta: dict, data: Snapshots) -> Coordinates:
     )
     training = [arrays[f"training {i}"] for i in range(len(data.runs))]
     test = [v for k, v in arrays.items() if k.startswith("test ")]
-    motion = mean_motion(data)
-    return Coordinates(basis, parts, (Encoded(training, motion, data), Encoded(test, motion, data)))
+    return Coordinates(basis, parts, (Encoded(training, data), Encoded(test, data)))

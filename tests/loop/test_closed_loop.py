@@ -13,6 +13,7 @@ from cellsys.loop import PolarityLaw, closed_loop
 from cellsys.loop.modal import split_slow
 from cellsys.reduction import LatentModel, StiffnessSensor
 from cellsys.response import margins
+from cellsys.response.certainty import PoleCertainty
 from tests import naive
 from tests.loop.systems import NAMES, heading, make, two_state
 
@@ -352,3 +353,31 @@ def test_loop_results_draw_themselves():
     assert [line.get_label() for line in ax.lines] == ["reduced: polarity p", "reduced: sensed d"]
     ax.figure.canvas.draw()
     plt.close("all")
+
+
+def test_a_growing_mode_is_never_set_apart():
+    """Slow and growing beyond rounding: no integrator of absolute position, whatever T is."""
+    A = np.diag([0.0037, 0.0013, -0.0004, 1e-18, -0.3])
+    rng = np.random.default_rng(0)
+    T = np.eye(5) + 0.2 * rng.standard_normal((5, 5))
+    A = T @ A @ sla.inv(T)
+    B, C = rng.standard_normal((5, 1)), rng.standard_normal((1, 5))
+    A_f, _, _, slow = split_slow(A, B, C, 0.01)
+    assert np.allclose(np.sort(slow.real), [-0.0004, 0.0], atol=1e-12)
+    assert np.allclose(np.sort(sla.eigvals(A_f).real), [-0.3, 0.0013, 0.0037], atol=1e-12)
+    # naive: by size alone both growing modes go, and the rest looks stable
+    naive = sla.schur(A, sort=lambda re, im: float(np.hypot(re, im)) >= 0.01)
+    assert naive[2] == 1
+    # what the data leave open on either side of the axis is no known growth
+    own = sla.eigvals(A)
+    open_ = PoleCertainty(own, np.where(np.abs(own - 0.0013) < 1e-9, 0.002, 0.0))
+    assert len(split_slow(A, B, C, 0.01, open_)[3]) == 3
+
+
+def test_a_growing_model_does_not_become_stable_by_setting_apart():
+    loop = make(3)
+    A = loop.model.A - (loop.model.growth() - 0.004) * np.eye(loop.order)
+    loop = dataclasses.replace(loop, model=dataclasses.replace(loop.model, A=A))
+    point = loop.linearize((loop.z0, loop.p0), slower_than=0.05)
+    assert point.poles.real.max() > 0.003
+    assert not margins(loop.open_loop(point)).closed_loop_stable

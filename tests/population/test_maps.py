@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg as sla
 
 from cellsys.errors import DataError, DimensionError, ParameterError, RepresentationError
-from cellsys.population import P_c, P_F_phi, P_phi, fit_P_map
+from cellsys.population import MappedSuperposition, P_c, P_F_phi, P_phi, couple, fit_P_map
 from cellsys.population.split import field_split
 from cellsys.reduction import LatentModel
 from cellsys.system import Block, Layout
@@ -105,6 +105,11 @@ def test_P_map_makes_bonded_pairs_equal_and_opposite():
     assert np.abs(same.matrix - fitted.matrix).max() < 1e-9
     assert np.isnan(same.mismatch)
     assert fitted.dropped == len(z) - free.shape[1]
+    # a map goes with the rows it was fitted on: [93] couples on the same
+    form = MappedSuperposition(P_map=fitted, rows="forces")
+    assert couple(m, 3, form).poles().shape == (18,)
+    with pytest.raises(ParameterError, match='rows="forces"'):
+        couple(m, 3, MappedSuperposition(P_map=fitted))
     # data that are not equal and opposite are seen
     assert fit_P_map(m, rng.standard_normal((40, 6)), pairs=pairs).mismatch > 0.1
     with pytest.raises(ParameterError, match="give one"):

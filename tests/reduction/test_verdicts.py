@@ -90,10 +90,15 @@ def test_an_undamped_exact_model_does_not_grow():
 
 def undecided_runs(runs=6):
     """A slow mode that grows in some runs and decays in others: its mean rate is next to 0."""
-    rates = np.linspace(-0.02, 0.021, runs)
+    rates = 0.02 * np.array([1, 1, -1, -1, 1, -1])[:runs]
     t = 0.1 * np.arange(60)
     wide = np.array([[1.0, 0.3], [0.2, 1.0]])
-    return state_data([np.stack([np.exp(-2.0 * t), np.exp(r * t)], axis=1) @ wide for r in rates])
+    return state_data(
+        [
+            np.stack([np.exp(-2.0 * t), (-1) ** i * np.exp(r * t)], axis=1) @ wide
+            for i, r in enumerate(rates)
+        ]
+    )
 
 
 def test_the_larger_of_two_bounds_is_shown_everywhere(tmp_path):
@@ -101,7 +106,7 @@ def test_the_larger_of_two_bounds_is_shown_everywhere(tmp_path):
     model = reduce(data, order=2, method=LeastSquares())
     known = model.certainty()
     slow = int(np.argmax(model.poles().real))
-    assert known.spread[slow] > 5 * abs(known.poles[slow].real)  # sign open
+    assert known.spread[slow] > 2 * abs(known.poles[slow].real)  # its sign is open
     plain, told = cs_poles(model.plant()), cs_poles(model.plant(), certainty=known)
     assert plain.error_bound.max() < 1e-10  # rounding alone would call it certain
     assert np.allclose(np.sort(told.error_bound), np.sort(known.spread), rtol=1e-6)
