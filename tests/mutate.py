@@ -39,6 +39,7 @@ SWAPS: dict[type, type] = {
     ast.Eq: ast.NotEq, ast.NotEq: ast.Eq, ast.Is: ast.IsNot, ast.IsNot: ast.Is,
     ast.And: ast.Or, ast.Or: ast.And,
 }  # fmt: skip
+LINES = Path(tempfile.gettempdir(), "cellsys-lines.json")
 MOST = 240.0  # s: a mutant that makes its tests hang is noticed
 
 
@@ -154,9 +155,8 @@ def drawn(count: int, seed: int, rooms: list[str]) -> list[Mutation]:
 
 def line_map(file: Path) -> dict[str, dict[str, list[str]]]:
     """{source file: {line: tests}} of the default tests, from `file` or made now."""
-    key = hashlib.sha256(
-        b"".join(p.read_bytes() for d in ("cellsys", "tests") for p in sorted((ROOT / d).rglob("*.py")))
-    ).hexdigest()
+    sources = [p for d in ("cellsys", "tests") for p in sorted((ROOT / d).rglob("*.py"))]
+    key = hashlib.sha256(b"".join(p.read_bytes() for p in sources)).hexdigest()
     if file.exists():
         known = json.loads(file.read_text())
         if known["key"] == key:
@@ -278,7 +278,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--room", action="append", default=[], help="only this room (repeatable)")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--map", type=Path, default=Path(tempfile.gettempdir(), "cellsys-lines.json"))
+    parser.add_argument("--map", type=Path, default=LINES)
     parser.add_argument("--list", action="store_true", help="only list the mutations")
     options = parser.parse_args()
     chosen = drawn(options.count, options.seed, options.room)
@@ -292,7 +292,8 @@ def main() -> int:
         noticed += seen
         if not seen:
             (excused if m.name in known else survivors).append(m)
-            print(f"[{k}] survives: cellsys/{m.file}:{m.line}: {m.before}  ->  {m.after}", flush=True)
+            where = f"cellsys/{m.file}:{m.line}"
+            print(f"[{k}] survives: {where}: {m.before}  ->  {m.after}", flush=True)
     print(f"{len(chosen)} mutations (seed {options.seed}): {noticed} noticed "
           f"({100 * noticed / max(len(chosen), 1):.1f} %), {len(excused)} known to be harmless, "
           f"{len(survivors)} survive")  # fmt: skip

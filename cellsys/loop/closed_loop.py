@@ -31,7 +31,7 @@ from cellsys.integrate.symbolic import CVODES
 from cellsys.laws.arrays import operations
 from cellsys.laws.polarity import heading_features
 from cellsys.loop.loop_system import ClosedLoopSystem, model_error, semilinear_of
-from cellsys.loop.modal import split_slow
+from cellsys.loop.modal import set_apart_text, split_slow
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.loop.scheduled import ScheduledLoop
 from cellsys.reduction.commands import harmonic
@@ -88,12 +88,7 @@ class Linearisation(Drawable):
 
     def __str__(self) -> str:
         where = "equilibrium" if self.residual < 1e-9 else "frozen time, not an equilibrium"
-        apart = ""
-        if len(self.slow):
-            apart = (
-                f"; {len(self.slow)} slow poles set apart as integrators of absolute position "
-                f"(|pole| <= {np.abs(self.slow).max():.2g} 1/s)"
-            )
+        apart = set_apart_text(self.slow)
         return (
             f"linearised loop, order {len(self.A)}: spectral abscissa "
             f"{self.poles.real.max():.3g} 1/s; {where} (residual {self.residual:.2g} 1/s){apart}"

@@ -72,3 +72,15 @@ def _kept(
         return bool(len(growing)) and float(np.abs(growing - pole).min()) <= float(near.min())
 
     return keep
+
+
+def set_apart_text(slow: np.ndarray) -> str:
+    """What to say of the poles set apart, 1/s."""
+    if not len(slow):
+        return ""
+    open_ = int(np.count_nonzero(slow.real > 0))
+    growing = f"; {open_} may grow, which the data leave open" if open_ else ""
+    return (
+        f"; {len(slow)} slow poles set apart as integrators of absolute position "
+        f"(|pole| <= {np.abs(slow).max():.2g} 1/s{growing})"
+    )
