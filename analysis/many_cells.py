@@ -91,7 +91,7 @@ def reduced(
         sensor=cs.FieldSensor.of(scene.effects["stiffness_sensing"]),
     )
     began = time.perf_counter()
-    steps = int(scene.duration / model.dt)
+    steps = round(scene.duration / model.dt)
     run = cells.simulate(
         model.dt * np.arange(steps + 1), heading=None if heading is None else heading[:, which]
     )
@@ -100,7 +100,7 @@ def reduced(
 
 def on_grid(run: cs.Trajectory, dt: float) -> cs.Trajectory:
     """Every sample on the grid of dt, positions and polarity alone."""
-    every = round(dt / (run.t[1] - run.t[0]))
+    every = run.stride(dt)
     blocks = [b for b in run.states if b.name.endswith((".position", ".displacement"))]
     x = np.column_stack([run.block(b.name)[::every].reshape(len(run.t[::every]), -1)
                          for b in blocks])  # fmt: skip

@@ -73,7 +73,7 @@ def commands(scene, t: np.ndarray):
 def compare(model, field, scene, folder) -> dict[str, float]:
     """One pair: errors and speeds."""
     run, *alone = cs.run_ensemble([scene, *cs.alone_scenes(scene)], folder)
-    every = round(model.dt / (run.t[1] - run.t[0]))
+    every = run.stride(model.dt)
     t = run.t[::every]
     amplitude, heading = commands(scene, t)
     places = np.array([c.position for c in scene.cells])

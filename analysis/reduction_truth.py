@@ -229,7 +229,7 @@ def main(quick: bool = False, out: str | None = None) -> None:
         began = time.perf_counter()
         done = cells.simulate(record.amplitude[:, None], record.heading[:, None], place)
         seconds = min(seconds, time.perf_counter() - began)
-        truth = run.block("matrix.displacement")[:: round(data.step / (run.t[1] - run.t[0]))]
+        truth = run.block("matrix.displacement")[:: run.stride(data.step)]
         u = field.displacement(done.q)
         miss.append((relative(model.nodes(done.z[:, 0]) - record.nodes, record.nodes),
                      float(np.linalg.norm(u - truth) / np.linalg.norm(truth))))  # fmt: skip

@@ -107,7 +107,7 @@ def one_loop(model: cs.EquivariantModel, scene: cs.Scene, run: cs.Trajectory) ->
         p0=np.asarray(run.p[0, 0]),
     )
     found = loop.simulate(model.dt * np.arange(record.steps + 1))
-    every = round(model.dt / (run.t[1] - run.t[0]))
+    every = run.stride(model.dt)
     true = np.asarray(run.p)[: record.steps * every + 1 : every]
     return gap(heading(found.p), heading(true))[:, 0]
 
@@ -133,7 +133,7 @@ def pair_loop(
     ports = cs.LoadPorts(field, np.array([c.position for c in scene.cells]),
                          np.array([c.polarity for c in scene.cells]))  # fmt: skip
     law = cs.PolarityLaw(kappa=scene.effects["polarity"].kappa)
-    every = round(model.dt / (run.t[1] - run.t[0]))
+    every = run.stride(model.dt)
     true = heading(np.asarray(run.p)[::every])
     out = {"heading kept": rms(gap(true[0], true))}
     for name, sensor in (

@@ -165,6 +165,31 @@ class Trajectory(Drawable):
             raise DataError("this trajectory was recorded without its auxiliaries")
         return self.auxiliaries.view(np.asarray(self.eta), name)
 
+    def stride(self, step: float) -> int:
+        """Samples per `step` s, for ``run.x[::run.stride(model.dt)]``.
+
+        Raises
+        ------
+        DataError
+            Samples that are not equally spaced, or a step that is no multiple of their interval.
+        """
+        spacing = np.diff(np.asarray(self.t, dtype=float))
+        if not spacing.size:
+            raise DataError("one sample has no interval; run longer")
+        interval = float(spacing.mean())
+        if np.abs(spacing - interval).max() > 1e-6 * interval:
+            raise DataError(
+                f"samples are {spacing.min():.6g} to {spacing.max():.6g} s apart; take a run of "
+                "equally spaced ones"
+            )
+        every = step / interval
+        if not (np.isfinite(every) and round(every) >= 1 and abs(every - round(every)) < 1e-6):
+            raise DataError(
+                f"a step of {step:.6g} s is no multiple of the samples' {interval:.6g} s; sample "
+                f"the run every {step:.6g} s"
+            )
+        return round(every)
+
     def nodal(self) -> dict[str, np.ndarray]:
         """Stored measures (T, N) of the matrix nodes by name: ``virial``, ``stiffness``."""
         both = {"virial": self.virial, "stiffness": self.stiffness}

@@ -81,6 +81,11 @@ def cells_cost(
     repeats : int
         Runs behind a time; the fastest counts. Training and the field's modes are not in it.
 
+    Raises
+    ------
+    DataError
+        When the step of a model is no multiple of the interval of `truth`.
+
     Notes
     -----
     Errors: rms difference over rms motion, of all cells' nodes and of the matrix.
@@ -90,7 +95,7 @@ def cells_cost(
     matrix = "matrix.displacement"
     rows = []
     for model in models:
-        every = max(1, round(model.dt / (truth.t[1] - truth.t[0])))
+        every = truth.stride(model.dt)
         t = truth.t[::every]
         amplitude, heading = step_commands(scene, t)
         places = np.array([c.position for c in scene.cells])

@@ -10,6 +10,8 @@ import typer
 
 from cellsys.cli.console import Json, Quiet, app, dump, print_table, progress_bars
 
+USUAL = 300.0  # s of a scene that are run without each effect
+
 
 @app.command()
 def effects(
@@ -18,8 +20,12 @@ def effects(
         bool, typer.Option("--measure", help="Run the scene without each effect in turn.")
     ] = False,
     duration: Annotated[
-        float, typer.Option(help="Length of the --measure runs in s; 0: the scene's own.")
-    ] = 300.0,
+        float | None,
+        typer.Option(
+            help="Length of the --measure runs in s, a multiple of the scene's sample; 0: the "
+            "scene's own. Default: 300 s, or the scene's own where that is shorter."
+        ),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -31,7 +37,7 @@ def effects(
             raise ParameterError("--measure needs a scene to run; name a file or a preset")
         _list_all(as_json)
     elif measure:
-        if not 0.0 <= duration < float("inf"):
+        if duration is not None and not 0.0 <= duration < float("inf"):
             raise ParameterError(f"--duration must be >= 0 s, got {duration:g}")
         _measure(scene, duration, as_json, quiet)
     else:
@@ -63,12 +69,14 @@ def _list_scene(scene: Path, as_json: bool) -> None:
     _table(f"what {scene.name} builds", rows)
 
 
-def _measure(scene: Path, duration: float, as_json: bool, quiet: bool) -> None:
+def _measure(scene: Path, duration: float | None, as_json: bool, quiet: bool) -> None:
     from cellsys.scene import load_scene
     from cellsys.study.leave_one_out import leave_one_out
 
     loaded = load_scene(scene)
-    length = loaded.duration if duration == 0.0 else min(duration, loaded.duration)
+    length = duration or loaded.duration
+    if duration is None and length > USUAL:
+        length = loaded.sample * max(1, int(USUAL / loaded.sample))
     with progress_bars(quiet) as progress:
         result = leave_one_out(loaded, duration=length, progress=progress)
     if as_json:

@@ -124,10 +124,6 @@ def _scene(parsed: Any, registry: Registry) -> Scene:
     ):
         if value < least:
             raise SceneError(f"{name} must be >= {least}, got {value}")
-    for name in ("duration", "sample"):
-        value = getattr(parsed.training, name)
-        if not value > 0:
-            raise SceneError(f"training.{name} must be > 0 s, got {value!r}")
     if parsed.until is not None and len(parsed.cells) < 2:
         raise SceneError(
             f"until = {parsed.until!r} needs at least two cells, got {len(parsed.cells)}; add "

@@ -16,6 +16,7 @@ from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.chain import ChainScene, check_chain
 from cellsys.scene.compatibility import check_effects
 from cellsys.scene.registry import source_of
+from cellsys.scene.sampling import intervals
 from cellsys.store.hashing import fingerprint
 
 _MOST_SAMPLES = 1e7  # their times alone are 80 MB, their states of any scene beyond every memory
@@ -93,6 +94,7 @@ class Training:
     scatter: float = 0.0
 
     def __post_init__(self) -> None:
+        intervals(self.duration, self.sample, "training.")
         if self.commands not in ("constant", "turning"):
             raise SceneError(
                 f"training.commands must be 'constant' or 'turning', got {self.commands!r}"
@@ -125,7 +127,7 @@ class Scene:
     ------
     SceneError
         Naming the contradiction: an effect without what it needs, cells that overlap or lie
-        outside the disc, a duration of zero.
+        outside the disc, a duration of zero, a sample that does not divide the duration.
     """
 
     name: str
@@ -151,18 +153,13 @@ class Scene:
         return parse_scene(table, effects=effects)
 
     def __post_init__(self) -> None:
-        for name in ("duration", "sample", "step"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise SceneError(f"{name} must be > 0 s, got {value!r}")
-        if self.sample > self.duration:
+        if not (np.isfinite(self.step) and self.step > 0):
+            raise SceneError(f"step must be > 0 s, got {self.step!r}")
+        count = intervals(self.duration, self.sample)
+        if count > _MOST_SAMPLES:
             raise SceneError(
-                f"sample = {self.sample:g} s is longer than duration = {self.duration:g} s"
-            )
-        if self.duration / self.sample > _MOST_SAMPLES:
-            raise SceneError(
-                f"duration / sample = {self.duration / self.sample:.3g} samples, more than "
-                f"{_MOST_SAMPLES:.0e}; sample less often or shorten the run"
+                f"duration / sample = {count:.3g} samples, more than {_MOST_SAMPLES:.0e}; sample "
+                "less often or shorten the run"
             )
         if self.until not in (None, "contact"):
             raise SceneError(f"until must be 'contact' or left out, got {self.until!r}")
@@ -255,8 +252,7 @@ class Scene:
     @property
     def times(self) -> np.ndarray:
         """Sample times, s: 0, sample, ..., duration."""
-        n = max(1, round(self.duration / self.sample))
-        return np.linspace(0.0, n * self.sample, n + 1)
+        return np.linspace(0.0, self.duration, intervals(self.duration, self.sample) + 1)
 
     def canonical(self) -> dict[str, Any]:
         """Everything the result depends on, as plain values in internal units."""

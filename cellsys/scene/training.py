@@ -111,7 +111,7 @@ def commanded(scene: Scene, commands: Commands, angle: float | None, name: str) 
         scene,
         name=name,
         duration=plan.duration,
-        sample=min(plan.sample, plan.duration),
+        sample=plan.sample,
         effects={n: e for n, e in scene.effects.items() if n != "polarity"},
         cells=cells,
         commands=commands,

@@ -162,7 +162,7 @@ def _loop(
         run = loop.simulate(t)
     except CellsysError as error:
         return None, {}, {"why_not": str(error)}
-    every = round(model.dt / (main.t[1] - main.t[0]))
+    every = main.stride(model.dt)
     true = np.asarray(main.p)[: len(t) * every : every, 0][: len(t)]
     angle = np.angle(_complex(run.p[:, 0]) / _complex(true), deg=True)
     gap = {"rms": float(np.sqrt(np.mean(angle**2))), "end": float(angle[-1])}

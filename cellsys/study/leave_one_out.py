@@ -79,20 +79,20 @@ def leave_one_out(
     scene : Scene
         On a disc, or a free membrane; a chain has no effects.
     duration : float, optional
-        Length of the runs, s; default the scene's own.
+        Length of the runs, s, a multiple of the scene's sample; default the scene's own.
     progress : callable, optional
         Called with (what, share done).
 
     Raises
     ------
     SceneError
-        For a scene on a chain.
+        For a scene on a chain, or a duration that the scene's sample does not divide.
     """
     if isinstance(scene.matrix, ChainScene):
         raise SceneError("a scene with matrix.kind = 'chain' has no effects to leave out")
     scene = dataclasses.replace(scene, until=None)  # all are compared at the same time
     if duration is not None:
-        scene = dataclasses.replace(scene, duration=duration, sample=min(scene.sample, duration))
+        scene = dataclasses.replace(scene, duration=duration)
     tell = progress if progress is not None else lambda stage, share: None
     shares = time_shares(build(scene), scene.step, min(20.0, scene.duration), scene.seed)
     whole, took = _timed(scene)

@@ -123,7 +123,7 @@ def reduced_cells(
         As `check_model`.
     """
     check_model(scene, model)
-    marks = np.arange(0, len(run), round(model.dt / (run.t[1] - run.t[0])))
+    marks = np.arange(0, len(run), run.stride(model.dt))
     places = np.array([c.position for c in scene.cells])
     headings = np.array([c.polarity for c in scene.cells])
     commanded = any(_commands(scene, c).heading for c in scene.cells)
