@@ -17,6 +17,12 @@ from cellsys.system import Event, Layout
 SOON = 5.0  # s: a run that took longer is not solved again only to be printed
 
 
+def cell_names(states: Layout) -> list[str]:
+    """``cell1``, ``cell2``, ...: what has a membrane of its own; a nucleus is part of its cell."""
+    names = [b.name.removesuffix(".position") for b in states if b.name.endswith(".position")]
+    return [name for name in names if "." not in name]
+
+
 @dataclass(frozen=True, eq=False)
 class ErrorEstimate:
     """The integrator's part of a run's error: its largest value over the samples.

@@ -167,3 +167,18 @@ def own_seed_each(count):
 def restarted(simulate, system, method, t, x, seed):
     """Second half of a run as a new run from its last state: the stepper's memory is lost."""
     return simulate(system, method, t, x, seed=seed, auxiliaries=False)
+
+
+def gap_along_centres(a, b):
+    """Distance of the centres less how far each cell reaches along their line (T,), um.
+
+    a, b (T, n, 3). Right for spheres; slanted cells that pass each other by um "overlap".
+    """
+    between = (b.mean(axis=1) - a.mean(axis=1))[:, :2]
+    distance = np.linalg.norm(between, axis=1)
+    e = between / distance[:, None]
+    reach = [
+        np.einsum("tni,ti->tn", x[:, :, :2] - x[:, :, :2].mean(axis=1)[:, None], s * e).max(axis=1)
+        for x, s in ((a, 1.0), (b, -1.0))
+    ]
+    return distance - reach[0] - reach[1]

@@ -9,6 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
 
+from cellsys.trajectory import cell_names
+
 CELL, FIBRE = "#c0504d", "0.75"
 
 
@@ -99,12 +101,12 @@ def displacement_field(rest: np.ndarray, u: np.ndarray, ax: Any = None) -> Any:
 def trajectory(run: Any, ax: Any = None) -> Any:
     """Centres of the cells against time (um), or the first states when there is no cell."""
     ax = _axes(ax)
-    cells = [b.name for b in run.states if b.name.endswith(".position")]
+    cells = cell_names(run.states)
     if cells:
         for name in cells:
-            path = run.block(name).mean(axis=1)
+            path = run.block(f"{name}.position").mean(axis=1)
             for k, axis in enumerate("xyz"):
-                ax.plot(run.t, path[:, k], label=f"{name.split('.')[0]} {axis}")
+                ax.plot(run.t, path[:, k], label=f"{name} {axis}")
         ax.set_ylabel("centre (um)")
     else:
         names = run.states.names[:8]

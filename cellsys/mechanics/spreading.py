@@ -263,13 +263,16 @@ class SpreadingSystem(OverdampedSystem):
         return u
 
     def geometry(self) -> dict[str, np.ndarray]:
-        """``matrix.rest`` (N, 3) um, ``matrix.surface``, the nodes that adhesions reach, and
+        """``cellK.triangles`` (m, 3), corners of the membrane's triangles, and of a matrix
+        ``matrix.rest`` (N, 3) um, ``matrix.surface``, the nodes that adhesions reach, and
         ``matrix.stiffness`` (N,) pN/um, the sum over the fibres at each node at rest.
         """
+        bodies = [cell.body for cell in self.cells]
+        membranes = {f"{body.name}.triangles": body.membrane.triangles for body in bodies}
         if self.matrix is None:
-            return {}
+            return membranes
         disc = self.matrix
-        return {
+        return membranes | {
             "matrix.rest": disc.position,
             "matrix.surface": disc.surface,
             "matrix.stiffness": nodal_sum(len(disc.position), disc.fibres, disc.stiffness),

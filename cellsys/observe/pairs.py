@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.mechanics.contact import edge_gap, until_contact
+from cellsys.mechanics.contact import edge_gap, gap_at, until_contact
 from cellsys.observe.spreading import contact_radius, node_speed
 from cellsys.system import Layout
 from cellsys.trajectory import Trajectory
@@ -253,7 +253,12 @@ def pair_of(run: Trajectory, i: int, j: int) -> Trajectory:
         for old, new in zip(names, ("cell1.position", "cell2.position", names[2]), strict=True)
     ]
     x = np.column_stack([run.block(n).reshape(len(run), -1) for n in names])
-    return Trajectory(run.t, x, Layout(blocks))
+    geometry = {
+        f"cell{new}.triangles": run.geometry[f"cell{old + 1}.triangles"]
+        for new, old in ((1, i), (2, j))
+        if f"cell{old + 1}.triangles" in run.geometry
+    }
+    return Trajectory(run.t, x, Layout(blocks), geometry=geometry)
 
 
 def observe_neighbours(
@@ -266,7 +271,7 @@ def observe_neighbours(
     found = {}
     for i, j in combinations(range(len(alone)), 2):
         pair = pair_of(run, i, j)
-        if edge_gap(pair)[0] > within:
+        if gap_at(pair, 0) > within:
             continue
         pair = until_contact(pair)
         if len(pair) > 1:

@@ -20,6 +20,7 @@ from cellsys.integrate.simulate import check_times
 from cellsys.loop import PolarityLaw
 from cellsys.loop.loop_system import model_error
 from cellsys.loop.substeps import SUBSTEPS, headings_inside
+from cellsys.mechanics.geometry.surface import convex_triangles
 from cellsys.population.field_sensor import FieldSensor
 from cellsys.population.headings import turn
 from cellsys.population.load_ports import PortedCells
@@ -306,6 +307,7 @@ class EquivariantCells(Drawable):
         """
         nodes, u = self.nodes(run), self.matrix_displacement(run)
         T, K, n = nodes.shape[:3]
+        triangles = convex_triangles(self.model.representation.shape.sphere)
         blocks = [Block(f"cell{k + 1}.position", (n, 3), "um") for k in range(K)]
         blocks.append(Block("matrix.displacement", u.shape[1:], "um", "field"))
         return Trajectory(
@@ -317,7 +319,10 @@ class EquivariantCells(Drawable):
             statistics=run.statistics,
             label=run.label,
             model_error=run.model_error,
-            geometry={"matrix.rest": self.coupling.field.nodes},
+            geometry={
+                "matrix.rest": self.coupling.field.nodes,
+                **{f"cell{k + 1}.triangles": triangles for k in range(K)},
+            },
         )
 
     def __str__(self) -> str:

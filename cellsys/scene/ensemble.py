@@ -49,7 +49,7 @@ def run_scene(
     system = build(scene)
     chain = isinstance(scene.matrix, ChainScene)
     method = METHOD if chain else LinearlyImplicit(step=scene.step)
-    until = touching(system.states) if scene.until == "contact" else None
+    until = touching(system) if scene.until == "contact" else None
     if folder is None:
         run = simulate(
             system,

@@ -124,11 +124,6 @@ def _scene(parsed: Any, registry: Registry) -> Scene:
     ):
         if value < least:
             raise SceneError(f"{name} must be >= {least}, got {value}")
-    if parsed.until is not None and len(parsed.cells) < 2:
-        raise SceneError(
-            f"until = {parsed.until!r} needs at least two cells, got {len(parsed.cells)}; add "
-            "[[cells]] or leave until out"
-        )
     return Scene(
         name=parsed.name,
         duration=parsed.duration,

@@ -163,6 +163,16 @@ class Scene:
             )
         if self.until not in (None, "contact"):
             raise SceneError(f"until must be 'contact' or left out, got {self.until!r}")
+        if self.until is not None and len(self.cells) < 2:
+            raise SceneError(
+                f"until = {self.until!r} needs at least two cells, got {len(self.cells)}; add "
+                "[[cells]] or leave until out"
+            )
+        if self.until is not None and isinstance(self.matrix, ChainScene):
+            raise SceneError(
+                f"until = {self.until!r} is for cells with a membrane; crawlers on a chain stall "
+                "where they meet: leave it out"
+            )
         plan = self.training
         runs = float(min(plan.runs + plan.held_out, 10**15))  # no float holds every integer
         samples = runs * plan.duration / plan.sample

@@ -18,7 +18,6 @@ import numpy as np
 
 from cellsys.figures import cells_from_above, displacement_field, pair_gaps, save_png, sheet
 from cellsys.figures import trajectory as paths
-from cellsys.mechanics.contact import cell_names
 from cellsys.observe import PairReadout, alone_scenes, observe_neighbours, summary_of_run
 from cellsys.scene import Scene, build, run_ensemble, run_scene
 from cellsys.store import write_json, write_text
@@ -26,7 +25,7 @@ from cellsys.study.files import plain, save_run
 from cellsys.study.measure import read_out_name
 from cellsys.study.reduced_cells import ReducedCells, check_model, reduced_cells
 from cellsys.study.report import _STYLE, _g, _image, _table
-from cellsys.trajectory import Trajectory
+from cellsys.trajectory import Trajectory, cell_names
 
 Progress = Callable[[str, float], None]
 MOST_PATHS = 4  # three lines each
@@ -110,7 +109,7 @@ def study_cells(
     summary: dict[str, Any] = {
         "scene": scene.name,
         "fingerprint": scene.fingerprint(),
-        "cells": {name: _cell_row(run, k, name) for k, name in enumerate(cell_names(run))},
+        "cells": {name: _cell_row(run, k, name) for k, name in enumerate(cell_names(run.states))},
         "matrix": _matrix_row(run),
         "pairs": {f"{i + 1}-{j + 1}": pair.means() for (i, j), pair in pairs.items()},
         "events": [list(e) for e in run.events if e.name == "contact"],
@@ -205,7 +204,7 @@ def _verdict(
 
 def _figures(result: CellsStudy, system: Any, folder: Path) -> dict[str, Path]:
     drawn, run, disc = {}, result.run, system.matrix
-    names = cell_names(run)
+    names = cell_names(run.states)
     if names:
         figure, axes = sheet((10, 5), 1, 2)
         for ax, k in zip(axes, (0, -1), strict=True):

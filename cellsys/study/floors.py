@@ -11,7 +11,7 @@ from cellsys.mechanics.commands import Commands
 from cellsys.reduction import EquivariantModel, realisation_floor, snapshots
 from cellsys.reduction.equivariant.records import read_records
 from cellsys.scene import Scene
-from cellsys.trajectory import Trajectory
+from cellsys.trajectory import Trajectory, cell_names
 
 SHIFTS = {"start shifted by 5 nm": 0.005, "start shifted by 100 nm": 0.1}
 ELSEWHERE = (-1.5, 1.0)  # um, where the same commands are given again, turned
@@ -29,7 +29,8 @@ def measured_floors(
     held: Trajectory, runs: Sequence[Trajectory], model: EquivariantModel | None
 ) -> dict[str, float]:
     """Relative differences of the cell's nodes; the last run needs a model's representation."""
-    (name,) = [b.name for b in held.states if b.name.endswith(".position")]
+    (cell,) = cell_names(held.states)
+    name = f"{cell}.position"
     x = held.block(name)
     moved = float(np.linalg.norm(x - x[0]))
     out = {

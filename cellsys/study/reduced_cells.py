@@ -13,7 +13,7 @@ from cellsys.loop import PolarityLaw
 from cellsys.population import FieldSensor, LoadPorts, couple
 from cellsys.reduction import EquivariantModel, full_field
 from cellsys.scene import Scene
-from cellsys.trajectory import Trajectory
+from cellsys.trajectory import Trajectory, cell_names
 
 MATRIX = "matrix.displacement"
 
@@ -165,7 +165,7 @@ def _compared(
     alone: list[Trajectory],
     steered: bool,
 ) -> ReducedCells:
-    names = [b.name for b in small.states if b.name.endswith(".position")]
+    names = [f"{name}.position" for name in cell_names(small.states)]
 
     def cells(r: Trajectory, rows: Any) -> np.ndarray:
         return np.concatenate([r.block(n)[rows] for n in names], axis=1)

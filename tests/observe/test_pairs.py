@@ -5,21 +5,24 @@ import tomllib
 
 import numpy as np
 import pytest
+import scipy.optimize as so
 
 import cellsys as cs
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.mechanics.contact import touching
 from cellsys.mechanics.geometry.membrane import sphere
 from cellsys.observe import (
     alone_scenes,
     attenuation_length,
     edge_gap,
     observe_pair,
+    pair_of,
     speed_against_spacing,
     until_contact,
 )
 from cellsys.scene.ensemble import read_run
 from cellsys.system import Block, Layout
-from cellsys.trajectory import Trajectory
+from cellsys.trajectory import Trajectory, cell_names
 from tests.study.scenes import TINY
 
 T = np.arange(0.0, 50.0, 5.0)
@@ -53,28 +56,134 @@ def approaching(speed, start=30.0):
     return np.stack([np.column_stack([-x, 0 * x]), np.column_stack([x, 0 * x])], axis=1)
 
 
-def test_edge_gap_of_spheres():
-    gap = edge_gap(run(approaching(0.1)))
-    # nodes of a triangulated sphere need not lie on the line of the centres
-    assert np.abs(gap - (30.0 - 0.2 * T - 10.0)).max() < 0.15
-    turned = approaching(0.1) @ np.array([[0.6, 0.8], [-0.8, 0.6]])
-    assert np.abs(edge_gap(run(turned)) - gap).max() < 0.3
-
-
 def test_contact_ends_the_run_with_its_time():
     full = run(approaching(0.3))
     cut = until_contact(full)
     gap = edge_gap(full)
     assert cut.events[-1].name == "contact"
     assert cut.events[-1].detail == "cell1 and cell2"
-    # straight motion: the interpolated time is exact, gap(0) / closing speed
-    assert cut.events[-1].time == pytest.approx(gap[0] / 0.6, rel=1e-9)
+    # by bisection on the whole path: which facets face each other changes between two samples,
+    # so the gap is no straight line there and interpolating it is off by a share of the interval
+    shape = sphere(5.0, (0.0, 0.0, 0.0)).position
+
+    def at(t):
+        return edge_gap(flat_run(shape, shape + [30.0 - 0.6 * t, 0.0, 0.0]))[0]
+
+    exact = so.brentq(at, 30.0, 40.0, xtol=1e-6)
+    assert cut.events[-1].time == pytest.approx(exact, abs=0.02 * 5.0)
     assert cut.t[-1] <= cut.events[-1].time
     assert len(cut) == np.count_nonzero(gap > 0)
     apart = run(approaching(0.01))
     assert until_contact(apart) is apart
     with pytest.raises(ParameterError, match="gap"):
         until_contact(full, np.nan)
+
+
+def flat_run(*cells, geometry=None):
+    """One sample of cells with nodes (n, 3) each."""
+    blocks = [Block(f"cell{k + 1}.position", x.shape, "um") for k, x in enumerate(cells)]
+    x = np.concatenate([np.ravel(c) for c in cells])[None]
+    return Trajectory(np.zeros(1), x, Layout(blocks), geometry=geometry or {})
+
+
+def slanted(centre, n=189):
+    """Half axes 12, 2 and 3 um, the first at 60 degrees in the plane."""
+    x = sphere(1.0, (0.0, 0.0, 0.0), n).position * [12.0, 2.0, 3.0]
+    c, s = np.cos(np.pi / 3), np.sin(np.pi / 3)
+    return x @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [centre, 0.0, 3.0]
+
+
+def test_edge_gap_is_the_distance_of_the_membranes():
+    gap = edge_gap(run(approaching(0.1)))
+    # a facet of a sphere of 189 nodes and 5 um lies up to 0.1 um below it
+    assert np.all(gap >= 20.0 - 0.2 * T)
+    assert np.all(gap <= 20.0 - 0.2 * T + 0.2)
+    turned = approaching(0.1) @ np.array([[0.6, 0.8], [-0.8, 0.6]])
+    assert np.abs(edge_gap(run(turned)) - gap).max() < 0.2
+    # the example: -2.49 along the line of the centres
+    two = flat_run(slanted(-5.0, 800), slanted(5.0, 800))
+    assert edge_gap(two)[0] == pytest.approx(4.75, abs=0.1)
+    assert until_contact(two) is two
+    # one cell over another: they are not at contact, whatever is seen from above
+    ball = sphere(5.0, (0.0, 0.0, 0.0)).position
+    assert edge_gap(flat_run(ball, ball + [3.0, 0, 12.0]))[0] == pytest.approx(2.4, abs=0.2)
+    # contours seen from above, at any height
+    angle = np.linspace(0, 2 * np.pi, 300, endpoint=False)
+    ring = np.column_stack([4 * np.cos(angle), 4 * np.sin(angle), 0 * angle])
+    above = flat_run(ring, 0.5 * ring + [9.0, 0, 7.0])
+    assert edge_gap(above)[0] == pytest.approx(3.0, abs=1e-3)
+    assert edge_gap(flat_run(ring, ring + [7.0, 0, 0]))[0] == pytest.approx(-1.0, abs=2e-3)
+
+
+def test_which_triangles_a_membrane_has():
+    start = sphere(5.0, (0.0, 0.0, 0.0))
+    dented = start.position * np.where(start.position[:, :1] > 3, 0.6, 1.0)
+    pair = dented, start.position + [9.0, 0, 0]
+    with pytest.raises(DataError, match=r"cell1: .* lie inside .*'cell1.triangles'"):
+        edge_gap(flat_run(*pair))
+    given = {f"cell{k}.triangles": start.triangles for k in (1, 2)}
+    # the dent faces the other cell: its nodes stand 0.6 as far out
+    assert edge_gap(flat_run(*pair, geometry=given))[0] > 9.0 - 5.0 - 3.6
+    # of a run that starts as spheres they are those of the start
+    states = Layout([Block(f"cell{k}.position", dented.shape, "um") for k in (1, 2)])
+    x = np.array([np.ravel([start.position, pair[1]]), np.ravel(pair)])
+    found = edge_gap(Trajectory(np.arange(2.0), x, states))
+    assert found[1] == edge_gap(flat_run(*pair, geometry=given))[0]
+    # built systems say them, and two cells of any run keep theirs
+    system = cs.build(facing())
+    triangles = system.cells[1].body.membrane.triangles
+    np.testing.assert_array_equal(system.geometry()["cell2.triangles"], triangles)
+    given["cell3.triangles"] = start.triangles
+    three = flat_run(start.position - [20.0, 0, 0], *pair, geometry=given)
+    blocks = [*three.states, Block("matrix.displacement", (1, 3), "um", "field")]
+    three = dataclasses.replace(three, x=np.append(three.x, np.zeros((1, 3)), axis=1),
+                                states=Layout(blocks))  # fmt: skip
+    assert edge_gap(pair_of(three, 1, 2))[0] == edge_gap(three, "cell2", "cell3")[0] == found[1]
+
+
+def test_a_gap_between_what_is_no_pair_is_refused():
+    ball = sphere(5.0, (0.0, 0.0, 0.0)).position
+    two = flat_run(ball, ball + [20.0, 0, 0])
+    for first, second, kind, words in (
+        ("cell1", "cell1", ParameterError, "'cell1' twice"),
+        ("cell1", "cell3", DataError, "no cell 'cell3'; it has cell1, cell2"),
+    ):
+        with pytest.raises(kind, match=words):
+            edge_gap(two, first, second)
+    with pytest.raises(DataError, match=r"it has cell1$"):
+        edge_gap(flat_run(ball))
+    mixed = flat_run(ball * [1.0, 1.0, 0.0], ball + [20.0, 0, 0])
+    with pytest.raises(DataError, match="cell1 is a contour and cell2 a surface"):
+        edge_gap(mixed)
+
+
+def test_a_nucleus_is_no_cell():
+    table = tomllib.loads(TINY)
+    table["effects"]["nucleus"] = {"radius": "2 um"}
+    scene = dataclasses.replace(facing(), effects=cs.Scene.parse(table).effects, duration=4.0)
+    run = cs.run_scene(scene)  # was at contact with its own nucleus
+    assert "cell1.nucleus.position" in run.states
+    assert cell_names(run.states) == ["cell1", "cell2"]
+    assert not run.events or run.events[-1].detail == "cell1 and cell2"
+    assert edge_gap(run)[0] == pytest.approx(0.6, abs=0.2)
+
+
+def test_cells_touch_where_their_membranes_do():
+    """Slanted cells 10 um apart do not, and the stepper asks the same."""
+    system = cs.build(facing())
+    until = touching(system)
+
+    def state(apart):
+        x = system.x0.copy()
+        for name, centre in (("cell1", -0.5 * apart), ("cell2", 0.5 * apart)):
+            x[system.states.slice(f"{name}.position")] = slanted(centre).ravel()
+        return x
+
+    exact = so.brentq(lambda d: edge_gap(flat_run(slanted(0.0), slanted(d)))[0], 3.0, 8.0)
+    assert exact < 5.0  # along the line of the centres they "touch" at 12.5 um
+    for apart, told in ((10.0, False), (exact + 1e-3, False), (exact - 1e-3, True), (1.0, True)):
+        assert until(0.0, state(apart)) is told
+    assert not until(0.0, system.x0)
 
 
 def test_pair_is_read_beside_its_controls():

@@ -19,9 +19,16 @@ from cellsys.scene.parse import scene_from_plain
 from cellsys.study.leave_one_out import leave_one_out
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
-from tests.study.scenes import TINY
+from tests.study.scenes import TINY, tiny
 
-FREE = 'name = "free"\nduration = "{duration}"\nsample = "{sample}"\n[[cells]]\n[effects]\ndrag = {{}}\n'
+FREE = """
+name = "free"
+duration = "{duration}"
+sample = "{sample}"
+[[cells]]
+[effects]
+drag = {{}}
+"""
 
 
 def free(duration, sample):
@@ -109,8 +116,8 @@ def test_everywhere_a_scene_comes_from():
 
 
 def test_the_commands_say_it_in_one_line(call, tmp_path):
-    (tmp_path / "odd.toml").write_text(TINY.replace('duration = "40 s"\nsample = "5 s"\nseed',
-                                                    'duration = "60 s"\nsample = "7 s"\nseed'))  # fmt: skip
+    odd = {'duration = "40 s"\nsample = "5 s"\nseed': 'duration = "60 s"\nsample = "7 s"\nseed'}
+    (tmp_path / "odd.toml").write_text(tiny(replace=odd))
     for command in (
         ("run", "odd.toml"),
         ("effects", "odd.toml"),

@@ -18,48 +18,18 @@ from cellsys.mechanics.effects.protocol import (
     Stiffness,
     parameter,
 )
+from cellsys.mechanics.geometry.surface import Surface
+from cellsys.mechanics.geometry.surface_kernels import signed_distance
 from cellsys.mechanics.tangent import diagonal
 
 _MARGIN = 0.3  # um: nodes this much farther apart may touch before the next look at the tangent
 
 
 @compiled
-def closest_on_triangle(p, a, b, c, share):
-    """Shares of the corners in the point of triangle abc closest to p (Ericson 2005, 5.1.5)."""
-    ab0, ab1, ab2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    ac0, ac1, ac2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    ap0, ap1, ap2 = p[0] - a[0], p[1] - a[1], p[2] - a[2]
-    bp0, bp1, bp2 = p[0] - b[0], p[1] - b[1], p[2] - b[2]
-    cp0, cp1, cp2 = p[0] - c[0], p[1] - c[1], p[2] - c[2]
-    d1 = ab0 * ap0 + ab1 * ap1 + ab2 * ap2
-    d2 = ac0 * ap0 + ac1 * ap1 + ac2 * ap2
-    d3 = ab0 * bp0 + ab1 * bp1 + ab2 * bp2
-    d4 = ac0 * bp0 + ac1 * bp1 + ac2 * bp2
-    d5 = ab0 * cp0 + ab1 * cp1 + ab2 * cp2
-    d6 = ac0 * cp0 + ac1 * cp1 + ac2 * cp2
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    v, w = 0.0, 0.0
-    if d1 <= 0.0 and d2 <= 0.0:
-        v, w = 0.0, 0.0
-    elif d3 >= 0.0 and d4 <= d3:
-        v, w = 1.0, 0.0
-    elif d6 >= 0.0 and d5 <= d6:
-        v, w = 0.0, 1.0
-    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        v, w = d1 / (d1 - d3), 0.0
-    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        v, w = 0.0, d2 / (d2 - d6)
-    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        v = 1.0 - w
-    else:
-        total = va + vb + vc
-        v, w = vb / total, vc / total
-    share[0], share[1], share[2] = 1.0 - v - w, v, w
-
-
-@compiled
-def surface_contact(x, y, triangles, stiffness, gap, reach, on_x, on_y, near_x, near_y):
+def surface_contact(
+    x, y, triangles, across, face, vertex, longest, stiffness, gap, reach,
+    on_x, on_y, near_x, near_y,
+):  # fmt: skip
     """Forces between nodes x and the closed surface (y, triangles); returns the energy.
 
     E = k/2 max(0, gap - d)^2 with d the distance of a node to the surface, negative inside. Nodes
@@ -70,13 +40,6 @@ def surface_contact(x, y, triangles, stiffness, gap, reach, on_x, on_y, near_x, 
     for j in range(y.shape[0]):
         for k in range(3):
             low[k], high[k] = min(low[k], y[j, k] - reach), max(high[k], y[j, k] + reach)
-    longest = 0.0
-    for t in range(triangles.shape[0]):
-        a, b, c = y[triangles[t, 0]], y[triangles[t, 1]], y[triangles[t, 2]]
-        e1 = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2
-        e2 = (c[0] - a[0]) ** 2 + (c[1] - a[1]) ** 2 + (c[2] - a[2]) ** 2
-        longest = max(longest, max(e1, e2))
-    longest = np.sqrt(longest)
     share, best_share = np.empty(3), np.empty(3)
     for i in range(x.shape[0]):
         p = x[i]
@@ -84,30 +47,11 @@ def surface_contact(x, y, triangles, stiffness, gap, reach, on_x, on_y, near_x, 
             continue
         if p[0] > high[0] or p[1] > high[1] or p[2] > high[2]:
             continue
-        best, best_t, height = 1e300, -1, 0.0
-        for t in range(triangles.shape[0]):
-            a, b, c = y[triangles[t, 0]], y[triangles[t, 1]], y[triangles[t, 2]]
-            far = (p[0] - a[0]) ** 2 + (p[1] - a[1]) ** 2 + (p[2] - a[2]) ** 2
-            if best_t >= 0 and far > (np.sqrt(best) + longest) ** 2 * 1.0001:
-                continue
-            closest_on_triangle(p, a, b, c, share)
-            r0 = p[0] - share[0] * a[0] - share[1] * b[0] - share[2] * c[0]
-            r1 = p[1] - share[0] * a[1] - share[1] * b[1] - share[2] * c[1]
-            r2 = p[2] - share[0] * a[2] - share[1] * b[2] - share[2] * c[2]
-            square = r0 * r0 + r1 * r1 + r2 * r2
-            if square > best * (1.0 + 1e-9):
-                continue
-            u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-            v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-            n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
-            size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + 1e-300
-            over = (r0 * n0 + r1 * n1 + r2 * n2) / size
-            # Of triangles that share the closest corner, the one that faces the node decides.
-            if square < best * (1.0 - 1e-9) or abs(over) > abs(height):
-                best, best_t, height = square, t, over
-                best_share[0], best_share[1], best_share[2] = share[0], share[1], share[2]
-        distance = np.sqrt(best + 1e-18)
-        sign = 1.0 if height >= 0.0 else -1.0
+        d, best_t = signed_distance(
+            p, y, triangles, across, face, vertex, longest, share, best_share
+        )
+        sign = 1.0 if d >= 0.0 else -1.0
+        distance = np.sqrt(d * d + 1e-18)
         if sign * distance >= reach:
             continue
         i0, i1, i2 = triangles[best_t, 0], triangles[best_t, 1], triangles[best_t, 2]
@@ -134,9 +78,10 @@ def surface_contact(x, y, triangles, stiffness, gap, reach, on_x, on_y, near_x, 
 class CellContact(Effect):
     """Repulsion of cells that touch: E = sum k/2 max(0, gap - d)^2 over the nodes of each pair.
 
-    d is the distance of a node of one cell to the surface of the other, negative inside, and the
-    force is shared by the corners of the triangle that the node faces. Cells farther apart than
-    the gap cost a comparison of their boxes.
+    d is the distance of a node of one cell to the surface of the other, negative inside, as in the
+    read-out of gaps (`cellsys.mechanics.geometry.surface`), and the force is shared by the corners
+    of the triangle that the node faces. Cells farther apart than the gap cost a comparison of
+    their boxes.
     """
 
     name: ClassVar[str] = "cell_contact"
@@ -166,12 +111,15 @@ class _CellContactElement(Element):
         near = tuple(np.zeros(len(f)) for f in out)
         at = [s.nodes[c.name] for c in self.cells]
         low, high = [x.min(axis=0) for x in at], [x.max(axis=0) for x in at]
+        surfaces: list[Surface | None] = [None] * len(at)
         for i in range(len(at)):
             for j in range(len(at)):
                 if i == j or (low[i] > high[j] + reach).any() or (high[i] < low[j] - reach).any():
                     continue
+                if surfaces[j] is None:
+                    surfaces[j] = self.cells[j].membrane.mesh.at(at[j])
                 energy += surface_contact(
-                    at[i], at[j], self.cells[j].membrane.triangles, e.stiffness, e.gap, reach,
+                    at[i], *surfaces[j].arrays, e.stiffness, e.gap, reach,
                     out[i], out[j], near[i], near[j],
                 )  # fmt: skip
         return energy, near

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from cellsys.errors import ParameterError
 from cellsys.mechanics.compiled import compiled
+from cellsys.mechanics.geometry.surface import Mesh, convex_triangles
 
 NODES = 189  # thesis code, Appendix A.1
 
@@ -45,6 +45,11 @@ class Membrane:
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
     @cached_property
+    def mesh(self) -> Mesh:
+        """The triangles as a closed surface."""
+        return Mesh(self.triangles)
+
+    @cached_property
     def volume(self) -> float:
         """Initial enclosed volume, um^3."""
         return enclosed_volume(self.position, self.triangles)
@@ -69,11 +74,7 @@ def sphere(radius: float, center: tuple[float, float, float], n_nodes: int = NOD
     unit = np.column_stack(
         [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)]
     )
-    triangles = ConvexHull(unit).simplices.astype(np.int64)
-    a, b, c = (unit[triangles[:, i]] for i in range(3))
-    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0
-    triangles[inward] = triangles[inward][:, ::-1]
-    triangles = triangles[np.lexsort(triangles.T)]
+    triangles = convex_triangles(unit)
     pairs = np.sort(
         np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     )

@@ -9,6 +9,7 @@ import numpy as np
 from cellsys.errors import DataError, ParameterError
 from cellsys.reduction.equivariant.port import Footprint, PolarPort, PortSites
 from cellsys.reduction.snapshots import RunData, Snapshots
+from cellsys.trajectory import cell_names
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,15 +49,6 @@ class CellRecord:
         return len(self.amplitude)
 
 
-def cell_names(data: Snapshots) -> list[str]:
-    """Cells of the snapshots, in order."""
-    return [
-        b.name.removesuffix(".position")
-        for b in data.states
-        if b.role == "component" and b.kind == "position" and b.name.endswith(".position")
-    ]
-
-
 def stride(data: Snapshots, step: float) -> int:
     """Samples per step of the model; refused where the step is no multiple of the sampling."""
     ratio = step / data.dt
@@ -94,7 +86,7 @@ def read_records(
     return [
         _record(data, run, k, name, stride(data, step), port, sites)
         for k, run in enumerate(data.runs)
-        for name in cell_names(data)
+        for name in cell_names(data.states)
     ]
 
 

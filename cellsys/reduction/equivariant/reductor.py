@@ -17,7 +17,7 @@ from cellsys.reduction.equivariant.dynamics import CellDynamics, ChargeBlock, Re
 from cellsys.reduction.equivariant.forecast import ValidityMonitor, conformal_bands, residuals
 from cellsys.reduction.equivariant.model import EquivariantModel
 from cellsys.reduction.equivariant.port import PolarPort, PortSites
-from cellsys.reduction.equivariant.records import CellRecord, cell_names, read_records, sites_of
+from cellsys.reduction.equivariant.records import CellRecord, read_records, sites_of
 from cellsys.reduction.equivariant.representation import (
     CHARGES,
     CellRepresentation,
@@ -38,6 +38,7 @@ from cellsys.reduction.equivariant.training import (
 from cellsys.reduction.equivariant.worth import roll_record
 from cellsys.reduction.sensor import ridge_weights
 from cellsys.reduction.snapshots import Snapshots
+from cellsys.trajectory import cell_names
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,7 @@ class Equivariant:
             sites,
             data.states,
             data.auxiliaries,
-            cell=cell_names(data)[0],
+            cell=cell_names(data.states)[0],
             horizon=last * data.dt,
             notes={
                 "contractive": self.margin is not None,
