@@ -116,9 +116,7 @@ def closed_loops(model: cs.LatentModel, latent: np.ndarray, numbers, duration: f
     together = cs.couple(model, 3, headings=angles).simulate(t, method)
     for k, angle in enumerate(angles):
         single = cs.couple(model, 1, headings=[angle]).simulate(t, method)
-        both = (together.p[:, k], single.p[:, 0])
-        turn = [np.degrees(np.arctan2(p[:, 1], p[:, 0])) for p in both]
-        gap = (turn[0] - turn[1] + 180.0) % 360.0 - 180.0
+        gap = cs.heading_error_deg(together.p[:, k], single.p[:, 0])
         print(
             f"  cell started at {np.degrees(angle):.0f} deg, {duration:g} s: heading differs from "
             f"the same cell alone by up to {np.abs(gap).max():.1f} deg"

@@ -23,6 +23,7 @@ import numpy as np
 
 import cellsys as cs
 from cellsys.accuracy.measures import motion, relative
+from cellsys.trajectory import cell_names
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SHIFT = 5e-3  # um
@@ -105,16 +106,16 @@ def on_grid(run: cs.Trajectory, dt: float) -> cs.Trajectory:
     x = np.column_stack([run.block(b.name)[::every].reshape(len(run.t[::every]), -1)
                          for b in blocks])  # fmt: skip
     return cs.Trajectory(
-        run.t[::every], x, cs.Layout(blocks), p=np.asarray(run.p)[::every], events=run.events
-    )
+        run.t[::every], x, cs.Layout(blocks), p=np.asarray(run.p)[::every], events=run.events,
+        geometry=run.geometry,
+    )  # fmt: skip
 
 
 def misses(found: cs.Trajectory, truth: cs.Trajectory) -> str:
     """Errors of cells, matrix and headings in words."""
-    names = [b.name for b in truth.states if b.name.endswith(".position")]
+    names = [f"{name}.position" for name in cell_names(truth.states)]
     places = [np.concatenate([r.block(n) for n in names], axis=1) for r in (found, truth)]
-    angle = [np.arctan2(r.p[..., 1], r.p[..., 0]) for r in (found, truth)]
-    turn = np.degrees(np.angle(np.exp(1j * (angle[0] - angle[1]))))
+    turn = cs.heading_error_deg(found.p, truth.p)
     return (
         f"cells {motion(*places):.3f} of their motion, matrix "
         f"{relative(found.block(MATRIX), truth.block(MATRIX)):.3f}, "
@@ -133,7 +134,7 @@ def shifted(scene: cs.Scene) -> cs.Scene:
 
 def followed(run: cs.Trajectory) -> np.ndarray:
     """Headings (steps, K) of a run, half-way between its samples."""
-    angle = np.unwrap(np.arctan2(run.p[..., 1], run.p[..., 0]), axis=0)
+    angle = np.radians(cs.heading_deg(run.p))
     return 0.5 * (angle[1:] + angle[:-1])
 
 
@@ -219,7 +220,8 @@ def until_touch(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> No
 
 def first(run: cs.Trajectory, count: int) -> cs.Trajectory:
     """The first samples of a run, positions and polarity alone."""
-    return cs.Trajectory(run.t[:count], run.x[:count], run.states, p=np.asarray(run.p)[:count])
+    return cs.Trajectory(run.t[:count], run.x[:count], run.states, p=np.asarray(run.p)[:count],
+                         geometry=run.geometry)  # fmt: skip
 
 
 def draw(found: dict[str, dict], folder: Path) -> None:

@@ -54,16 +54,6 @@ def start_at(scene: cs.Scene, degrees: float) -> cs.Scene:
     return dataclasses.replace(scene, cells=(turned,))
 
 
-def heading(p: np.ndarray) -> np.ndarray:
-    """Heading (T, cells) of polarities (T, cells, 3), deg."""
-    return np.degrees(np.arctan2(p[..., 1], p[..., 0]))
-
-
-def gap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a - b in -180 .. 180 deg."""
-    return (a - b + 180.0) % 360.0 - 180.0
-
-
 def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
@@ -109,7 +99,7 @@ def one_loop(model: cs.EquivariantModel, scene: cs.Scene, run: cs.Trajectory) ->
     found = loop.simulate(model.dt * np.arange(record.steps + 1))
     every = run.stride(model.dt)
     true = np.asarray(run.p)[: record.steps * every + 1 : every]
-    return gap(heading(found.p), heading(true))[:, 0]
+    return cs.heading_error_deg(found.p, true)[:, 0]
 
 
 def two_cells(scene: cs.Scene, quick: bool) -> cs.Scene:
@@ -134,15 +124,15 @@ def pair_loop(
                          np.array([c.polarity for c in scene.cells]))  # fmt: skip
     law = cs.PolarityLaw(kappa=scene.effects["polarity"].kappa)
     every = run.stride(model.dt)
-    true = heading(np.asarray(run.p)[::every])
-    out = {"heading kept": rms(gap(true[0], true))}
+    true = np.asarray(run.p)[::every]
+    out = {"heading kept": rms(cs.heading_error_deg(true[:1], true))}
     for name, sensor in (
         ("sensor of the cell's own state", model.sensor),
         ("law on the shared field", cs.FieldSensor.of(scene.effects["stiffness_sensing"])),
     ):
         cells = cs.couple(model, coupling=ports, controller=law, sensor=sensor)
         found = cells.simulate(run.t[::every])
-        out[name] = rms(gap(heading(found.p), true))
+        out[name] = rms(cs.heading_error_deg(found.p, true))
     return out
 
 

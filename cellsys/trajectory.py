@@ -223,6 +223,23 @@ class Trajectory(Drawable):
             return ErrorEstimate(None, np.zeros(self.states.size), "no estimate for this run")
         return self.estimator()
 
+    def error_of(self, name: str) -> float:
+        """How far any entry of a state block may be off, in its unit, over the whole run.
+
+        The integrator's part of the error (`error`, found when first asked for), of places and
+        displacements (n, 3) the length of a node's; where there is no estimate, and at least, the
+        rounding of the states, 4 eps |x|. The model's part is not in it. What is smaller than this
+        is not to be told from zero.
+        """
+        block = self.states[name]
+        rounding = 4.0 * np.finfo(float).eps * np.abs(self.block(name)).max(axis=0, initial=0.0)
+        error = rounding
+        if self.error.absolute is not None:
+            error = np.maximum(error, self.states.view(self.error.absolute, name))
+        if len(block.shape) == 2 and block.shape[1] == 3:
+            error = np.linalg.norm(error, axis=1)
+        return float(np.max(error, initial=0.0))
+
     def __getstate__(self) -> dict[str, Any]:
         # An estimator holds the system, whose laws need not be picklable.
         return {k: v for k, v in self.__dict__.items() if k != "estimator"} | {"estimator": None}

@@ -26,7 +26,7 @@ def main(quick: bool = False, out: str | None = None) -> cs.ScheduledLoop:
     print(model.card.verdict)  # a loop is worth what its plant is
     loop = cs.closed_loop(model, controller=cs.PolarityLaw(kappa=1 / 60), p0=[0.0, 1.0, 0.0])
     run = loop.simulate(np.arange(0.0, scene.training.duration + 1, 10.0))
-    turned = np.degrees(np.arctan2(run.p[:, 0, 1], run.p[:, 0, 0]))
+    turned = cs.heading_deg(run.p[:, 0])
     print(f"heading: {turned[0]:.0f} deg at the start, {turned[-1]:.0f} deg at the end")
     point = loop.linearize(run.t[-1], slower_than=1.0 / run.t[-1])
     print(point)

@@ -84,17 +84,28 @@ def cell_from_side(position: np.ndarray, triangles: np.ndarray, ax: Any = None) 
     return ax
 
 
-def displacement_field(rest: np.ndarray, u: np.ndarray, ax: Any = None) -> Any:
-    """Horizontal displacement (N, 3) of the surface of the matrix, arrows over colour, um."""
+def displacement_field(
+    rest: np.ndarray, u: np.ndarray, ax: Any = None, *, error: float = 0.0
+) -> Any:
+    """Horizontal displacement (N, 3) of the surface of the matrix, arrows over colour, um.
+
+    A field that nowhere exceeds its own `error` (um, `Trajectory.error_of`) is not drawn, and the
+    axes say so: arrows are scaled to the largest, and would show rounding as a pattern.
+    """
     ax = _axes(ax)
     top = rest[:, 2] > -0.7
     x, v = rest[top], u[top]
     size = np.hypot(v[:, 0], v[:, 1])
+    reach = 1.02 * float(np.abs(x[:, :2]).max(initial=0.0)) or 1.0
+    ax.set(xlabel="x (um)", ylabel="y (um)", xlim=(-reach, reach), ylim=(-reach, reach))
+    ax.set_aspect("equal")
+    if not size.max(initial=0.0) > error:
+        text = f"not drawn: no node moved\nby more than the error of {error:.2g} um"
+        ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes)
+        return ax
     dots = ax.scatter(x[:, 0], x[:, 1], c=size, s=18, cmap="viridis")
     ax.quiver(x[:, 0], x[:, 1], v[:, 0], v[:, 1], angles="xy", color="k", width=0.0025)
-    ax.figure.colorbar(dots, ax=ax, label="displacement (um)", shrink=0.85)
-    ax.set(xlabel="x (um)", ylabel="y (um)")
-    ax.set_aspect("equal")
+    ax.figure.colorbar(dots, ax=ax, label="horizontal displacement (um)", shrink=0.85)
     return ax
 
 

@@ -102,6 +102,17 @@ def edge_gap(run: Trajectory, first: str = "cell1", second: str = "cell2") -> np
     return np.array([gap(a.at(k), b.at(k)) for k in range(len(run))])
 
 
+def contour_gap(first: np.ndarray, second: np.ndarray) -> float:
+    """`edge_gap` of two closed contours (n, 2), um, their corners in order.
+
+    Raises
+    ------
+    DimensionError, DataError
+        Other shapes, NaN, or fewer than three corners.
+    """
+    return gap(contour(first), contour(second))
+
+
 def gap_at(run: Trajectory, sample: int, first: str = "cell1", second: str = "cell2") -> float:
     """`edge_gap` at one sample, um."""
     a, b = _pair(run, first, second)

@@ -1,6 +1,7 @@
 """Physical read-outs of runs, full-order or reconstructed."""
 
-from cellsys.mechanics.contact import edge_gap, until_contact
+from cellsys.mechanics.contact import contour_gap, edge_gap, until_contact
+from cellsys.observe.headings import heading_change_deg, heading_deg, heading_error_deg
 from cellsys.observe.pairs import (
     Attenuation,
     PairReadout,
@@ -13,15 +14,27 @@ from cellsys.observe.pairs import (
     speed_against_spacing,
 )
 from cellsys.observe.read_outs import read_outs
-from cellsys.observe.spreading import contact_radius, node_speed, summary_of_run
+from cellsys.observe.spreading import (
+    centre_height,
+    contact_radius,
+    crawl_distance,
+    node_speed,
+    summary_of_run,
+)
 
 __all__ = [
     "Attenuation",
     "PairReadout",
     "alone_scenes",
     "attenuation_length",
+    "centre_height",
     "contact_radius",
+    "contour_gap",
+    "crawl_distance",
     "edge_gap",
+    "heading_change_deg",
+    "heading_deg",
+    "heading_error_deg",
     "node_speed",
     "observe_neighbours",
     "observe_pair",

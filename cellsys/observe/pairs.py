@@ -36,9 +36,9 @@ class PairReadout:
     t : (T - 1,)
         Starts of the sampling intervals, s.
     gap : (T,)
-        Edge gap, um.
+        `edge_gap`, um.
     normalised_gap : (T,)
-        Over its start.
+        Over its start; NaN for cells that start in contact.
     gap_speed, periphery_speed : (T - 1,)
         Of the matrix between the cells, and away from both.
     gap_alone, periphery_alone : (T - 1,)
@@ -56,6 +56,7 @@ class PairReadout:
         """Averages over the run, in nm/s and um."""
         return {
             "gap_start_um": float(self.gap[0]),
+            "gap_min_um": float(self.gap.min()),
             "gap_end_um": float(self.gap[-1]),
             "normalised_gap_end": float(self.normalised_gap[-1]),
             "gap_speed_nm_s": float(np.nanmean(self.gap_speed)),
@@ -151,7 +152,7 @@ def observe_pair(
     return PairReadout(
         run.t[:-1],
         between,
-        between / between[0],
+        between / between[0] if between[0] > 0 else np.full(T, np.nan),
         mean(speeds[0], gap),
         mean(speeds[0], periphery),
         np.mean([mean(s, gap) for s in speeds[1:]], axis=0),
@@ -203,14 +204,15 @@ def attenuation_length(
         um.
     cell : str
     sample : int
-        Which sample.
+        Which sample; the last one by default.
     bins : int
         Rings of equal width between the contact radius and the rim.
 
     Raises
     ------
     DataError
-        Fewer than three rings hold nodes that move, or nothing decays.
+        Fewer than three rings hold nodes that move by more than the error of the run
+        (`Trajectory.error_of`), or nothing decays.
     """
     x = run.block(f"{cell}.position")[sample]
     u = np.linalg.norm(run.block("matrix.displacement")[sample], axis=1)
@@ -228,15 +230,18 @@ def attenuation_length(
             f"{outer:.3g} um from it: no ring lies between; read a cell farther from the rim"
         )
     edges = np.linspace(inner, outer, bins + 1)
-    radius, rms = [], []
+    radius, rms, error = [], [], run.error_of("matrix.displacement")
     for low, high in pairwise(edges):
         ring = (away >= low) & (away < high)
         value = float(np.sqrt(np.mean(u[ring] ** 2))) if ring.any() else 0.0
-        if value > 0:
+        if value > error:
             radius.append(0.5 * (low + high))
             rms.append(value)
     if len(radius) < 3:
-        raise DataError(f"only {len(radius)} rings of the matrix move; no decay can be fitted")
+        raise DataError(
+            f"only {len(radius)} rings of the matrix move by more than the error of the run, "
+            f"{error:.2g} um, at t = {run.t[sample]:g} s; no decay can be fitted"
+        )
     radius, rms = np.array(radius), np.array(rms)
     slope, level = np.polyfit(radius, np.log(rms), 1)
     if not slope < 0:

@@ -4,39 +4,40 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellsys.observe.spreading import contact_radius
-from cellsys.trajectory import Trajectory
+from cellsys.observe.headings import heading_change_deg
+from cellsys.observe.spreading import centre_height, contact_radius, crawl_distance
+from cellsys.trajectory import Trajectory, cell_names
 
 
 def read_outs(run: Trajectory) -> dict[str, float]:
-    """Means over the cells at the end of a run; what a run does not have is left out.
+    """Means over the cells of a run; what a run does not have is left out.
 
     Returns
     -------
     dict
-        ``contact_radius_um``, ``height_um`` and ``crawl_um`` (path of the centre, straight) of
-        cells with a membrane, ``centre_um`` (mean shift of crawlers on a chain),
-        ``matrix_displacement_um`` (rms over the nodes) and ``heading_change_deg``.
+        ``contact_radius_end_um``, ``height_end_um`` (of the cell), ``centre_height_end_um`` and
+        ``crawl_um`` (`crawl_distance`) of cells with a membrane; ``crawl_um`` of crawlers on a
+        chain is that of the middle between lead and trail. ``matrix_displacement_max_um`` over all
+        nodes and samples, ``matrix_displacement_rms_end_um`` over the nodes at the last one, and
+        ``heading_change_deg`` (how far cells turned, either way).
     """
-    names = [b.name for b in run.states]
-    cells = [n for n in names if n.startswith("cell") and n.count(".") == 1]
-    membranes = [n for n in cells if n.endswith(".position")]
     out: dict[str, float] = {}
-    if membranes:
-        paths = [run.block(name) for name in membranes]
-        out["contact_radius_um"] = float(np.mean([contact_radius(x[-1]) for x in paths]))
-        out["height_um"] = float(np.mean([np.ptp(x[-1, :, 2]) for x in paths]))
-        shift = [x[-1].mean(axis=0) - x[0].mean(axis=0) for x in paths]
-        out["crawl_um"] = float(np.mean(np.linalg.norm(shift, axis=1)))
-    leads = [n.rpartition(".")[0] for n in cells if n.endswith(".lead")]
+    paths = [run.block(f"{name}.position") for name in cell_names(run.states)]
+    if paths:
+        out["contact_radius_end_um"] = float(np.mean([contact_radius(x[-1]) for x in paths]))
+        out["height_end_um"] = float(np.mean([np.ptp(x[-1, :, 2]) for x in paths]))
+        out["centre_height_end_um"] = float(np.mean([centre_height(x[-1]) for x in paths]))
+        out["crawl_um"] = float(np.mean([crawl_distance(x) for x in paths]))
+    leads = [b.name.rpartition(".")[0] for b in run.states if b.name.endswith(".lead")]
     if leads:
         ends = [0.5 * (run.block(f"{n}.lead") + run.block(f"{n}.trail")) for n in leads]
-        out["centre_um"] = float(np.mean([np.abs(x[-1] - x[0]) for x in ends]))
+        out["crawl_um"] = float(np.mean([np.abs(x[-1] - x[0]) for x in ends]))
     for name in ("matrix.displacement", "chain.displacement"):
-        if name in names:
-            u = run.block(name)[-1]
-            out["matrix_displacement_um"] = float(np.sqrt((u**2).sum() / len(u)))
+        if name in run.states:
+            u = run.block(name).reshape(len(run), -1, 3 if name.startswith("matrix") else 1)
+            size = np.linalg.norm(u, axis=2)
+            out["matrix_displacement_max_um"] = float(size.max())
+            out["matrix_displacement_rms_end_um"] = float(np.sqrt(np.mean(size[-1] ** 2)))
     if run.p is not None:
-        along = np.einsum("ij,ij->i", run.p[0], run.p[-1])
-        out["heading_change_deg"] = float(np.degrees(np.arccos(np.clip(along, -1, 1))).mean())
+        out["heading_change_deg"] = float(np.abs(heading_change_deg(run.p)).mean())
     return out

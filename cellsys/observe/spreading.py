@@ -1,4 +1,4 @@
-"""Read-outs of a spreading run: node speeds, contact radius, height, path of the centre."""
+"""Read-outs of a spreading run: node speeds, contact radius, heights, crawl in the plane."""
 
 from __future__ import annotations
 
@@ -26,6 +26,22 @@ def contact_radius(position: np.ndarray) -> float:
     return float(np.hypot(*(position[low, :2] - position[:, :2].mean(axis=0)).T).max())
 
 
+def crawl_distance(position: np.ndarray) -> float:
+    """How far a cell with nodes (T, n, 3) crawled, um.
+
+    The length of the straight path of its centre in the plane, from the first sample to the last;
+    the centre is the mean of the nodes. It sinks while a cell spreads, which is no crawling:
+    `centre_height` is a read-out of its own.
+    """
+    ends = np.asarray(position)[[0, -1]].mean(axis=1)[:, :2]
+    return float(np.hypot(*(ends[1] - ends[0])))
+
+
+def centre_height(position: np.ndarray) -> float:
+    """Height of the centre of a cell with nodes (n, 3) over the plane z = 0, um."""
+    return float(np.asarray(position)[:, 2].mean())
+
+
 def summary_of_run(
     run: Trajectory, rest: np.ndarray | None = None, cell: str = "cell1"
 ) -> dict[str, float]:
@@ -41,18 +57,21 @@ def summary_of_run(
     Returns
     -------
     dict
-        Crawl distance, contact radii and heights at start and end, mean membrane speed, and with
-        `rest` the 99th percentile of matrix speed under the cell (within its contact radius), the
-        mean near the rim (outer 13 % of the radius), and the greatest displacement.
+        Crawl distance in the plane, contact radii, heights of the cell and of its centre at start
+        and end, mean membrane speed, and with `rest` the 99th percentile of matrix speed under
+        the cell (within its contact radius), the mean near the rim (outer 13 % of the radius), and
+        the greatest displacement of any node at any sample.
     """
     x = run.block(f"{cell}.position")
     centre = x.mean(axis=1)
     out = {
-        "crawl_um": float(np.linalg.norm(centre[-1] - centre[0])),
+        "crawl_um": crawl_distance(x),
         "contact_radius_start_um": contact_radius(x[0]),
         "contact_radius_end_um": contact_radius(x[-1]),
         "height_start_um": float(np.ptp(x[0, :, 2])),
         "height_end_um": float(np.ptp(x[-1, :, 2])),
+        "centre_height_start_um": centre_height(x[0]),
+        "centre_height_end_um": centre_height(x[-1]),
         "membrane_speed_mean_nm_s": 1e3 * float(node_speed(run, f"{cell}.position").mean()),
     }
     if rest is None or "matrix.displacement" not in run.states:

@@ -14,13 +14,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from cellsys.figures import cells_from_above, displacement_field, pair_gaps, save_png, sheet
+from cellsys.figures import cells_from_above, pair_gaps, save_png, sheet
 from cellsys.figures import trajectory as paths
-from cellsys.observe import PairReadout, alone_scenes, observe_neighbours, summary_of_run
+from cellsys.observe import (
+    PairReadout,
+    alone_scenes,
+    heading_change_deg,
+    observe_neighbours,
+    summary_of_run,
+)
 from cellsys.scene import Scene, build, run_ensemble, run_scene
 from cellsys.store import write_json, write_text
+from cellsys.study.fields import draw_displacement, matrix_row, texts
 from cellsys.study.files import plain, save_run
 from cellsys.study.measure import read_out_name
 from cellsys.study.reduced_cells import ReducedCells, check_model, reduced_cells
@@ -64,7 +69,7 @@ class CellsStudy:
         for name, row in {**self.summary["cells"], "matrix": self.summary["matrix"]}.items():
             if row:
                 lines.append(f"{name}:")
-                lines += [f"  {read_out_name(k):28s} {_g(v, 4)}" for k, v in row.items()]
+                lines += [f"  {read_out_name(k):28s} {v}" for k, v in texts(row).items()]
         for (i, j), pair in self.pairs.items():
             lines.append(f"cells {i + 1} and {j + 1}: {pair}")
         if self.reduced is not None:
@@ -110,7 +115,7 @@ def study_cells(
         "scene": scene.name,
         "fingerprint": scene.fingerprint(),
         "cells": {name: _cell_row(run, k, name) for k, name in enumerate(cell_names(run.states))},
-        "matrix": _matrix_row(run),
+        "matrix": matrix_row(run),
         "pairs": {f"{i + 1}-{j + 1}": pair.means() for (i, j), pair in pairs.items()},
         "events": [list(e) for e in run.events if e.name == "contact"],
         "reduced": None if reduced is None else reduced.table(),
@@ -157,24 +162,10 @@ def _runs(
 
 def _cell_row(run: Trajectory, k: int, name: str) -> dict[str, float]:
     row = summary_of_run(run, None, name)
+    row["position_error_um"] = run.error_of(f"{name}.position")
     if run.p is not None:
-        turn = np.angle(_complex(run.p[-1, k]) / _complex(run.p[0, k]), deg=True)
-        row["heading_change_deg"] = float(turn)
+        row["heading_change_deg"] = float(heading_change_deg(run.p)[k])
     return row
-
-
-def _matrix_row(run: Trajectory) -> dict[str, float]:
-    if "matrix.displacement" not in run.states:
-        return {}
-    u = np.linalg.norm(run.block("matrix.displacement")[-1], axis=1)
-    return {
-        "displacement_rms_um": float(np.sqrt(np.mean(u**2))),
-        "displacement_max_um": float(u.max()),
-    }
-
-
-def _complex(p: np.ndarray) -> complex:
-    return complex(p[0], p[1])
 
 
 def _verdict(
@@ -221,9 +212,7 @@ def _figures(result: CellsStudy, system: Any, folder: Path) -> dict[str, Path]:
             paths(run, ax)
             drawn["centres"] = save_png(figure, folder / "centres.png")
     if disc is not None:
-        figure, ax = sheet((7, 5.6))
-        displacement_field(disc.position, run.block("matrix.displacement")[-1], ax)
-        drawn["displacement_field"] = save_png(figure, folder / "displacement_field.png")
+        drawn["displacement_field"] = draw_displacement(run, folder / "displacement_field.png")
     if result.pairs:
         figure, axes = sheet((10, 4.4), 1, 2)
         pair_gaps(result.pairs, axes)
@@ -245,11 +234,12 @@ def _write_report(result: CellsStudy, figures: Mapping[str, Path]) -> None:
     ]
     if cells:
         rows = list(next(iter(cells.values())))
-        body = [(read_out_name(r), *(_g(cells[c][r]) for c in cells)) for r in rows]
+        told = {c: texts(row) for c, row in cells.items()}
+        body = [(read_out_name(r), *(told[c][r] for c in cells)) for r in rows]
         parts += ["<h2>Read-outs</h2>", _table(("read-out", *cells), body)]
     if result.summary["matrix"]:
-        moved = [(read_out_name(k), _g(v)) for k, v in result.summary["matrix"].items()]
-        parts.append(_table(("matrix at the end", "value"), moved))
+        moved = [(read_out_name(k), v) for k, v in texts(result.summary["matrix"]).items()]
+        parts.append(_table(("matrix", "value"), moved))
     if result.pairs:
         means = result.summary["pairs"]
         rows = list(next(iter(means.values())))

@@ -116,7 +116,7 @@ def cell_table(crawl: CrawlRun) -> dict[str, dict[str, float]]:
             "switches_of_lead": len(crawl.switches(f"{name} lead")),
             "switches_of_trail": len(crawl.switches(f"{name} trail")),
             "last_switch_s": float(times[-1]) if times.size else float("nan"),
-            "displacement_um": float(moved[-1]),
+            "displacement_end_um": float(moved[-1]),
             "crawl_speed_um_per_s": float(moved[until] / (run.t[until] - run.t[0])),
             "lead_node_at_end": int(run.block(f"{name}.i_lead")[-1]),
             "trail_node_at_end": int(run.block(f"{name}.i_trail")[-1]),

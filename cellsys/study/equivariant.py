@@ -11,6 +11,7 @@ import numpy as np
 
 from cellsys.errors import CellsysError, FileFormatError, RankError, SceneError
 from cellsys.loop import PolarityLaw, closed_loop
+from cellsys.observe import heading_error_deg
 from cellsys.reduction import (
     Equivariant,
     EquivariantModel,
@@ -164,7 +165,7 @@ def _loop(
         return None, {}, {"why_not": str(error)}
     every = main.stride(model.dt)
     true = np.asarray(main.p)[: len(t) * every : every, 0][: len(t)]
-    angle = np.angle(_complex(run.p[:, 0]) / _complex(true), deg=True)
+    angle = heading_error_deg(run.p[:, 0], true)
     gap = {"rms": float(np.sqrt(np.mean(angle**2))), "end": float(angle[-1])}
     return run, gap, {"heading_error_deg": gap, **_margins(loop)}
 
@@ -176,7 +177,3 @@ def _margins(loop: Any) -> dict[str, Any]:
     except CellsysError as error:
         return {"margins": None, "why_no_margins": str(error)}
     return {"margins": margin_table(found), "why_no_margins": None}
-
-
-def _complex(p: np.ndarray) -> np.ndarray:
-    return p[:, 0] + 1j * p[:, 1]

@@ -55,8 +55,8 @@ class Worth:
         head = f"{self.effect.replace('_', ' ')}{also}: {100 * self.share:.0f} % of the time"
         if self.note:
             return f"{head}; {self.note}"
-        told = {"contact_radius_um": "spreading", "crawl_um": "crawling",
-                "matrix_displacement_um": "the matrix", "centre_um": "crawling"}  # fmt: skip
+        told = {"contact_radius_end_um": "spreading", "crawl_um": "crawling",
+                "matrix_displacement_max_um": "the matrix"}  # fmt: skip
         parts = [
             f"{told[name]} by {100 * abs(change):.0f} %"
             for name, change in self.changes.items()

@@ -120,6 +120,13 @@ def margin_table(m: Margins) -> dict[str, Any]:
     return {"gain_margin_on_kappa": table.pop("gain_margin"), **table}
 
 
+def short_number(value: float | None, digits: int = 3) -> str:
+    """A number for a table; a dash for None and NaN."""
+    if value is None or np.isnan(value):
+        return "-"
+    return "inf" if np.isinf(value) else f"{value:.{digits}g}"
+
+
 def read_out_name(key: str) -> str:
     """Name of a read-out for a reader: ``crawl_um`` is "crawl, um"."""
     for ending, unit in (("_nm_s", "nm/s"), ("_um_per_s", "um/s"), ("_um", "um"), ("_s", "s"),

@@ -10,6 +10,7 @@ import numpy as np
 from cellsys.accuracy.measures import motion, relative
 from cellsys.errors import ParameterError
 from cellsys.loop import PolarityLaw
+from cellsys.observe import heading_error_deg
 from cellsys.population import FieldSensor, LoadPorts, couple
 from cellsys.reduction import EquivariantModel, full_field
 from cellsys.scene import Scene
@@ -174,8 +175,7 @@ def _compared(
     summed = sum(r.block(MATRIX)[marks] for r in alone) if alone else np.full_like(u, np.nan)
     heading = float("nan")
     if run.p is not None and small.p is not None:
-        a, b = (np.arctan2(p[..., 1], p[..., 0]) for p in (np.asarray(run.p)[marks], small.p))
-        turn = np.angle(np.exp(1j * (a - b)), deg=True)
+        turn = heading_error_deg(np.asarray(run.p)[marks], small.p)
         heading = float(np.sqrt(np.mean(turn**2)))
     return ReducedCells(
         small,

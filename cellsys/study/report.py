@@ -8,13 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from cellsys.figures import (
     bode,
     cell_from_above,
     cell_from_side,
-    displacement_field,
     equivariant_model,
     error_against_time,
     headings,
@@ -26,7 +23,9 @@ from cellsys.figures import (
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.response.certainty import side
 from cellsys.store import write_text
+from cellsys.study.fields import draw_displacement
 from cellsys.study.measure import read_out_name
+from cellsys.study.measure import short_number as _g
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1000px; margin: 2rem auto; padding: 0 1rem;
@@ -54,9 +53,7 @@ def write_figures(result: Any, system: SpreadingSystem, folder: Path) -> dict[st
         cell_from_side(x[k], mesh.triangles, axes[1, column])
     drawn["cell_and_matrix"] = save_png(figure, folder / "cell_and_matrix.png")
 
-    figure, ax = sheet((7, 5.6))
-    displacement_field(disc.position, u[-1], ax)
-    drawn["displacement_field"] = save_png(figure, folder / "displacement_field.png")
+    drawn["displacement_field"] = draw_displacement(run, folder / "displacement_field.png")
 
     small = result.model
     large = max((m for n, m in result.models if n == "PCR"), default=small.order)
@@ -105,12 +102,6 @@ def _image(path: Path, alt: str) -> str:
 
 def _error(value: float) -> str:
     return _g(value) if value < 1e6 else "diverges"
-
-
-def _g(value: float, digits: int = 3) -> str:
-    if value is None or np.isnan(value):
-        return "-"
-    return "inf" if np.isinf(value) else f"{value:.{digits}g}"
 
 
 def _lasts(rate: float, bound: float) -> str:

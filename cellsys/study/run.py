@@ -14,7 +14,7 @@ import numpy as np
 from cellsys.errors import CellsysError, ParameterError, RankError
 from cellsys.integrate import CVODES
 from cellsys.loop import ClosedLoop, Linearisation, PolarityLaw, closed_loop
-from cellsys.observe import summary_of_run
+from cellsys.observe import heading_error_deg, summary_of_run
 from cellsys.reduction import (
     PCR,
     LatentModel,
@@ -325,11 +325,6 @@ def _loop(
         return None, None, None, None, str(error)
 
 
-def heading_deg(p: np.ndarray) -> np.ndarray:
-    """Unwrapped heading angle (T,), deg, of polarities (T, 3)."""
-    return np.degrees(np.unwrap(np.arctan2(p[:, 1], p[:, 0])))
-
-
 def _loop_table(
     model: LatentModel,
     main: Trajectory,
@@ -346,8 +341,7 @@ def _loop_table(
             "constant_direction": sensor.constant_error,
         }
     if reduced is not None and linear is not None:
-        gap = heading_deg(reduced.p[:, 0]) - heading_deg(np.asarray(main.p)[:, 0])
-        gap = (gap + 180.0) % 360.0 - 180.0
+        gap = heading_error_deg(reduced.p[:, 0], np.asarray(main.p)[:, 0])
         table["heading_error_deg"] = {
             "rms": float(np.sqrt(np.mean(gap**2))),
             "end": float(gap[-1]),

@@ -1,12 +1,26 @@
-"""Read-outs of a run: node speeds, contact radius, magnitudes."""
+"""Read-outs of a run: node speeds, contact radius, crawl, heights, headings, magnitudes."""
+
+import tomllib
 
 import numpy as np
 import pytest
 
+import cellsys as cs
 from cellsys.errors import DataError
-from cellsys.observe import contact_radius, node_speed, summary_of_run
+from cellsys.observe import (
+    centre_height,
+    contact_radius,
+    crawl_distance,
+    heading_change_deg,
+    heading_deg,
+    heading_error_deg,
+    node_speed,
+    read_outs,
+    summary_of_run,
+)
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
+from tests.study.scenes import tiny
 
 
 def run_of(x, u=None, t=None):
@@ -70,3 +84,65 @@ def test_a_cell_that_touches_nothing_has_plain_numbers_too():
     assert all(np.isfinite(v) for v in found.values())
     far = summary_of_run(run_of(x + [500.0, 0, 0], u), rest)
     assert all(np.isfinite(v) for v in far.values())
+
+
+def test_a_cell_that_sinks_does_not_crawl():
+    """Without a lamellipodium it only spreads; the straight path of its centre is a fall."""
+    still = tiny(replace={'lamellipodium = { force = "600 pN" }\n': ""})
+    run = cs.run_scene(cs.Scene.parse(tomllib.loads(still)))
+    x = run.block("cell1.position")
+    naive = float(np.linalg.norm(x[-1].mean(axis=0) - x[0].mean(axis=0)))
+    found = summary_of_run(run)
+    assert naive > 0.2
+    assert found["crawl_um"] < 0.05 * naive
+    fell = found["centre_height_start_um"] - found["centre_height_end_um"]
+    assert np.hypot(found["crawl_um"], fell) == pytest.approx(naive)
+    # the one definition, wherever it is read
+    assert read_outs(run)["crawl_um"] == found["crawl_um"] == crawl_distance(x)
+    assert read_outs(run)["centre_height_end_um"] == found["centre_height_end_um"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_crawl_is_what_is_left_when_heights_are_thrown_away(seed):
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(6, 9, 3)).cumsum(axis=0)
+    flat = x * [1.0, 1.0, 0.0]
+    lifted = x + np.array([0.0, 0.0, 1.0]) * rng.normal(size=(6, 9, 1))
+    way = complex(*(x[-1] - x[0]).mean(axis=0)[:2])
+    for same in (x, flat, lifted, x[[0, 3, 5]], x + [3.0, -4.0, 2.0]):
+        assert crawl_distance(same) == pytest.approx(abs(way))
+    assert centre_height(x[2]) == pytest.approx(sum(x[2, :, 2]) / 9)
+
+
+def test_turns_count_in_full():
+    """A cell that turns by 450 degrees did not turn by 90, and none jumps at 180."""
+    angle = np.radians(np.linspace([170.0, 0.0], [620.0, -200.0], 40))
+    p = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+    assert heading_change_deg(p) == pytest.approx([450.0, -200.0])
+    assert np.abs(np.diff(heading_deg(p), axis=0)).max() < 12.0
+    ends = np.degrees(np.arccos(np.einsum("ij,ij->i", p[0], p[-1])))
+    assert ends == pytest.approx([90.0, 160.0])  # what was said before
+    shape = np.random.default_rng(0).normal(size=(40, 5, 3))
+    blocks = [Block(f"cell{k}.position", (5, 3), "um") for k in (1, 2)]
+    x = np.concatenate([shape, shape], axis=1).reshape(40, -1)
+    run = Trajectory(np.arange(40.0), x, Layout(blocks), p=p)
+    assert read_outs(run)["heading_change_deg"] == pytest.approx(325.0)
+    # off one another: whole turns are no difference, and it is at most half a turn
+    turned = np.exp(1j * np.radians([[30.0, -359.0, 179.0, 721.0], [0.0, 0.0, -179.0, 0.0]]))
+    a, b = (np.column_stack([v.real, v.imag, 0 * v.real]) for v in turned)
+    assert heading_error_deg(a, b) == pytest.approx([30.0, 1.0, -2.0, 1.0])
+
+
+def test_the_matrix_is_read_over_the_run_and_at_the_end():
+    u = np.zeros((5, 4, 3))
+    u[2, 1] = [0.3, 0.0, 0.4]
+    u[-1] = 1e-6
+    x = np.random.default_rng(0).standard_normal((5, 7, 3))
+    found = read_outs(run_of(x, u))
+    assert found["matrix_displacement_max_um"] == pytest.approx(0.5)
+    assert found["matrix_displacement_rms_end_um"] == pytest.approx(np.sqrt(3) * 1e-6)
+    assert summary_of_run(run_of(x, u), np.eye(4, 3))["matrix_displacement_max_um"] == 0.5
+    for name in found:
+        assert name.endswith(("_um", "_deg"))
+        # every value at one sample says which; the others are over the run
+        assert ("_end_" in name) != name.startswith(("crawl", "matrix_displacement_max"))

@@ -90,7 +90,7 @@ def test_leave_one_out_compares_the_right_runs():
     assert result["cortical_tension"].motion == pytest.approx(1.0, abs=1e-3)
     assert stages[-1][1] == pytest.approx(1.0)
     assert stages == sorted(stages, key=lambda s: s[1])
-    text = str(Worth("cortical_tension", (), 0.12, 0.1, 0.3, {"contact_radius_um": -0.18}))
+    text = str(Worth("cortical_tension", (), 0.12, 0.1, 0.3, {"contact_radius_end_um": -0.18}))
     assert text.startswith("cortical tension: 12 % of the time, changes spreading by 18 %")
 
 
@@ -110,10 +110,10 @@ def test_sweep_runs_once_and_writes_a_table(call, scene_file, tmp_path):
     assert (code, err) == (0, "")
     rows = json.loads(out)
     assert [r["effects.cortical_tension.tension"] for r in rows] == ["0 pN/um", "200 pN/um"]
-    assert rows[0]["height_um"] > rows[1]["height_um"]
+    assert rows[0]["height_end_um"] > rows[1]["height_end_um"]
     folder = tmp_path / "out" / "small sweep"
     table = list(csv.DictReader((folder / "sweep.csv").read_text().splitlines()))
-    assert float(table[1]["height_um"]) == rows[1]["height_um"]
+    assert float(table[1]["height_end_um"]) == rows[1]["height_end_um"]
     stamps = {p: p.stat().st_mtime_ns for p in folder.rglob("run.json")}
     assert len(stamps) == 2
     assert all((folder / r["run"] / "run.json").exists() for r in rows)

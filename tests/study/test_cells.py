@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import sys
 import tomllib
 
 import matplotlib
@@ -12,10 +13,14 @@ matplotlib.use("Agg")
 
 import cellsys as cs
 from cellsys.errors import ParameterError
+from cellsys.figures import save_png
 from cellsys.observe import alone_scenes, observe_neighbours
 from cellsys.scene import Scene, run_scene
 from cellsys.store import load_archive
+from cellsys.study import cells as _cells  # noqa: F401  loaded, so that it can be watched
 from cellsys.study.leave_one_out import leave_one_out
+from cellsys.system import Block, Layout
+from cellsys.trajectory import ErrorEstimate, Trajectory
 from tests.reduction.equivariant.runs import model as trained
 from tests.study.scenes import TINY, tiny
 
@@ -134,6 +139,87 @@ def test_presets_without_a_steered_cell(name, files, tmp_path):
     table = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert table["pairs"] == {}
     assert bool(table["matrix"]) == (name == "passive_matrix")
+
+
+RELAXED = """
+name = "let go"
+duration = "400 s"
+sample = "5 s"
+[matrix]
+diameter = "30 um"
+nodes = 300
+[effects]
+drag = {}
+matrix_elasticity = { law = "buckling" }
+foundation = {}
+[effects.external_load]
+force = "1000 pN"
+radius = "5 um"
+history = { times = ["0 s", "50 s", "100 s", "150 s"], values = [0, 1, 1, 0] }
+"""
+
+
+def drawn_axes(monkeypatch, tmp_path, text):
+    """Read-outs of a study, its text, and the axes of the field as it was drawn."""
+    kept = {}
+
+    def keep(figure, path):
+        kept[path.stem] = figure
+        return save_png(figure, path)
+
+    # the room exports a function of its own name, which hides it from a dotted path
+    monkeypatch.setattr(sys.modules["cellsys.study.fields"], "save_png", keep)
+    result = cs.study(scene(text), tmp_path / "out")
+    axes = [a for a in kept["displacement_field"].axes if a.get_xlabel()]
+    return result, axes
+
+
+def test_a_field_below_its_own_error_is_not_drawn(monkeypatch, tmp_path):
+    """Pulled aside and let go: at the end nothing is left but the stepping's error."""
+    result, (greatest, end) = drawn_axes(monkeypatch, tmp_path, RELAXED)
+    row = result.summary["matrix"]
+    u = np.linalg.norm(result.run.block("matrix.displacement"), axis=2)
+    assert row["displacement_max_um"] == u.max() > 50 * u[-1].max() > 0
+    assert row["displacement_max_at_s"] == result.run.t[u.max(axis=1).argmax()] < 150
+    assert row["displacement_rms_end_um"] == pytest.approx(np.sqrt(np.mean(u[-1] ** 2)))
+    # the error bound holds against steps a fifth as long while the load rises, and is not idle
+    fine = cs.run_scene(dataclasses.replace(result.scene, step=0.1, duration=60.0))
+    both = [r.block("matrix.displacement")[: len(fine)] for r in (fine, result.run)]
+    off = np.linalg.norm(both[0] - both[1], axis=2).max()
+    assert u[-1].max() < row["displacement_error_um"]
+    assert off < row["displacement_error_um"] < 20 * off
+    assert greatest.get_title() == f"greatest, t = {row['displacement_max_at_s']:g} s"
+    assert len(greatest.collections) == 2  # dots and arrows
+    assert end.get_title() == "at the end, t = 400 s"
+    assert not end.collections
+    assert "by more than the error of" in end.texts[0].get_text()
+    text = result.report()
+    (told,) = [line for line in text.splitlines() if "displacement max, um" in line]
+    assert float(told.split()[-1]) == pytest.approx(row["displacement_max_um"], rel=1e-3)
+    assert "below its error, " in text
+    assert "below its error, " in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_field_that_is_greatest_at_the_end_is_drawn_once(monkeypatch, tmp_path):
+    held = RELAXED.replace('"400 s"', '"40 s"')
+    result, (only,) = drawn_axes(monkeypatch, tmp_path, held)
+    assert only.get_title() == "greatest, t = 40 s"
+    assert len(only.collections) == 2
+    assert "below its error" not in result.report()
+
+
+def test_the_error_of_a_block_is_kept_in_one_place():
+    states = Layout([Block("a.position", (2, 3), "um"), Block("b", (2,), "1")])
+    x = np.zeros((4, 8))
+    x[2] = [3.0, 0, 4.0, 0, 0, 0, 0, 1000.0]
+    bare = Trajectory(np.arange(4.0), x, states)
+    eps = 4 * np.finfo(float).eps  # the rounding of the states themselves
+    assert bare.error_of("a.position") == pytest.approx(5 * eps)
+    assert bare.error_of("b") == pytest.approx(1000 * eps)
+    found = ErrorEstimate(np.array([0.0, 0.3, 0.4, 0, 0, 0, 0.01, 0.02]), np.ones(8), "given")
+    known = dataclasses.replace(bare, estimator=lambda: found)
+    assert known.error_of("a.position") == pytest.approx(0.5)
+    assert known.error_of("b") == 0.02
 
 
 def test_a_cell_without_a_lamellipodium_is_run_too(tmp_path):

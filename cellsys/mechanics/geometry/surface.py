@@ -29,7 +29,7 @@ from cellsys.mechanics.geometry.surface_kernels import (
 )
 
 DEPTH_TOLERANCE = 1e-3  # of the smaller extent of two surfaces that overlap
-SHELLS = 8  # inside a surface, on which depths are tried besides those on the surfaces themselves
+SHELLS = 4  # inside a surface, on which depths are tried besides those on the surfaces themselves
 _TOUCH = 1e-12  # of the extent: contours that cross are this far apart by rounding
 
 
