@@ -21,10 +21,10 @@ import tomllib
 
 import cellsys as cs
 from cellsys.errors import CellsysError, FileFormatError, ParameterError, RankError
+from cellsys.observe import heading_deg
 from cellsys.scene import Scene, run_scene
 from cellsys.store import RunReader, load_archive
 from cellsys.study.files import plain
-from cellsys.study.run import heading_deg
 from tests.study.scenes import TINY, tiny
 
 
