@@ -10,3 +10,4 @@ from cellsys.version import __version__
 
 __getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
 __all__ = [*__all__, "__version__"]
+__docformat__ = "numpy"  # how pdoc reads the docstrings

@@ -153,7 +153,8 @@ class Event(NamedTuple):
     detail: str  # for example "cell1 node 17"
 
 
-class EventFunction(NamedTuple):
+@dataclass(frozen=True)
+class EventFunction:
     """A guard located by root finding, and the jump of the state that it causes.
 
     Parameters

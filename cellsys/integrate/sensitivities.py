@@ -17,6 +17,7 @@ import scipy.linalg as sla
 
 from cellsys.errors import DimensionError, IntegrationError, ParameterError
 from cellsys.integrate.symbolic import integrator_of
+from cellsys.system import Layout as Layout  # what the inherited __init__ is annotated with
 from cellsys.system import OdeSystem
 
 
