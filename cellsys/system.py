@@ -168,8 +168,7 @@ class EventFunction:
     reset : callable, optional
         ``reset(t, x)`` -> new state; None only notes the event.
     level : bool
-        Whether the event also fires where the guard is *already* past zero, at the start or
-        after another event's reset: such a guard never changes sign. Needs a direction.
+        Fires also where the guard is past zero at the start or after a reset. Needs a direction.
     """
 
     name: str
