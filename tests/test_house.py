@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "cellsys"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-# design.md section 3, top to bottom; rooms on one line do not see each other.
+# Top to bottom; rooms on one line do not see each other.
 FLOORS = [
     ("cli", "__main__"),
     ("study",),

@@ -1,9 +1,11 @@
-"""The notes: every thesis equation has its reading, every parameter its row."""
+"""The notes that docstrings cite: every pointer has its heading, every parameter its row."""
 
 import dataclasses
 import re
+from functools import cache
 from importlib import import_module
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -15,6 +17,89 @@ from cellsys.units import quantity
 ROOT = Path(__file__).resolve().parent.parent
 NOTES = ROOT / "analysis" / "notes"
 FILES = sorted(NOTES.glob("*.md"))
+KINDS = ("*.py", "*.pyi", "*.md", "*.toml")
+PLACES = ("cellsys", "analysis", "examples", "tests")
+# "[notes: theory, load ports]"; a line may break inside, behind a comment sign too.
+POINTER = re.compile(r"\[notes:[\s#]*([a-z_]+),[\s#]*([^\]]+?)\]")
+# What pointed to papers that are not in the repository.
+OLD = re.compile(
+    r"\b(?:theory|numerics|mechanics|physics|design|gel|stepping|style|field|pairs_phenotypes)\.md\b"
+    r"|\bnumerics\b|\b(?:theory|mechanics):? \d|\bcalibration of \d|\[theory\b|\"mechanics \d"
+)
+
+
+@cache
+def headings(name: str) -> frozenset[str]:
+    """Headings of a note, in lower case."""
+    text = (NOTES / f"{name}.md").read_text("utf-8")
+    return frozenset(found.strip().lower() for found in re.findall(r"^##+ (.+)$", text, re.M))
+
+
+def sources() -> list[Path]:
+    """Every text that may point into the notes, the notes themselves among them."""
+    found = {p for place in PLACES for kind in KINDS for p in (ROOT / place).rglob(kind)}
+    return sorted((found | set(ROOT.glob("*.md"))) - {Path(__file__).resolve()})
+
+
+def faults(text: str) -> list[str]:
+    """Pointers of a text that lead nowhere, and pointers of the old kinds."""
+    wrong = []
+    for found in POINTER.finditer(text):
+        name, heading = found[1], " ".join(re.sub(r"[\s#]+", " ", found[2]).split()).lower()
+        if not (NOTES / f"{name}.md").is_file():
+            wrong.append(f"{found[0]!r}: there is no {name}.md")
+        elif heading not in headings(name):
+            wrong.append(f"{found[0]!r}: {name}.md has no heading {heading!r}")
+    # `notes: Mapping` is an annotation; a bracket or a word and a comma make it a pointer.
+    if len(re.findall(r"\[notes:|[\[(]notes:? [a-z]+,", text)) != len(POINTER.findall(text)):
+        wrong.append("a pointer that is not of the form [notes: FILE, HEADING]")
+    # A path of the notes is a link, not a pointer of the old kinds.
+    rest = re.sub(r"analysis/notes/\w+\.md", "", text)
+    return wrong + [f"old pointer {found[0]!r}" for found in OLD.finditer(rest)]
+
+
+def test_every_pointer_leads_to_a_heading():
+    wrong, number = [], 0
+    for path in sources():
+        text = path.read_text("utf-8")
+        if path.suffix == ".md":
+            # Prose for people names a note by its file.
+            text = re.sub(r"`\w+\.md`", "", text)
+        number += len(POINTER.findall(text))
+        wrong += [f"{path.relative_to(ROOT)}: {fault}" for fault in faults(text)]
+    assert not wrong, "\n".join(wrong)
+    assert number > 90, f"only {number} pointers found: the pattern no longer sees them"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "A cell [notes: theory, no such heading].",
+        "A cell [notes: nowhere, load ports].",
+        "A cell [notes theory, load ports].",
+        "A cell (notes: theory, load ports).",
+        "A cell [theory.md 4b].",
+        "A cell (numerics: 10).",
+        'source="mechanics 2.4b k_b"',
+        'source="cellsys calibration of 2.3 f_st"',
+    ],
+)
+def test_a_false_pointer_is_seen(text):
+    assert faults(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "A cell [notes: theory, load ports].",
+        "# A cell [notes: theory,\n    # load ports]",
+        "from cellsys.mechanics import crawler",
+        "notes: dict[str, str]",
+        "The laws are in analysis/notes/mechanics.md.",
+    ],
+)
+def test_a_true_pointer_passes(text):
+    assert not faults(text)
 
 
 # Thesis equations
@@ -73,14 +158,29 @@ def test_names_and_files_in_the_notes_exist():
 # Parameters
 
 
-def rows() -> dict[str, str]:
-    """Value of every parameter in the tables of `mechanics` and `matrix`."""
-    text = "\n".join((NOTES / f"{name}.md").read_text("utf-8") for name in ("mechanics", "matrix"))
-    found = re.findall(r"^\| `([\w.]+)` \| ([^|]+) \| ([^|]+) \| [^|]*\|$", text, re.MULTILINE)
-    assert all(source.strip() for _, _, source in found), "a parameter without a source"
-    names = [name for name, _, _ in found]
-    assert len(names) == len(set(names)), "a parameter has two rows"
-    return {name: value.strip() for name, value, _ in found}
+class Row(NamedTuple):
+    """A parameter in a table of the notes: value, source, and the heading it stands under."""
+
+    value: str
+    source: str
+    file: str
+    heading: str
+
+
+@cache
+def rows() -> dict[str, Row]:
+    """Every parameter in the tables of `mechanics` and `matrix`."""
+    found: dict[str, Row] = {}
+    for file in ("mechanics", "matrix"):
+        heading = ""
+        for line in (NOTES / f"{file}.md").read_text("utf-8").split("\n"):
+            if line.startswith("## "):
+                heading = line[3:].lower()
+            row = re.match(r"\| `([\w.]+)` \| ([^|]+) \| ([^|]+) \|", line)
+            if row:
+                assert row[1] not in found, f"{row[1]} has two rows"
+                found[row[1]] = Row(row[2].strip(), row[3].strip(), file, heading)
+    return found
 
 
 def built() -> dict[str, tuple[object, str]]:
@@ -117,7 +217,7 @@ def _chain() -> type:
 
 
 def test_the_notes_have_every_parameter_at_its_value():
-    noted, real = rows(), built()
+    noted, real = {name: row.value for name, row in rows().items()}, built()
     assert noted.keys() == real.keys(), (
         f"without a row: {sorted(real.keys() - noted.keys())}; "
         f"rows of nothing: {sorted(noted.keys() - real.keys())}"
@@ -134,11 +234,17 @@ def test_the_notes_have_every_parameter_at_its_value():
     assert not wrong, wrong
 
 
-def test_every_effect_has_a_source_for_every_parameter():
-    bare = [
-        f"{name}.{item.name}"
-        for name in EFFECTS.shipped
-        for item in dataclasses.fields(EFFECTS[name])
-        if "unit" in item.metadata and not item.metadata["source"].strip()
-    ]
-    assert not bare, bare
+def test_code_and_notes_name_the_same_source():
+    """Source of a parameter in the code: that of its row, and a pointer to the row's heading."""
+    wrong = {}
+    for name in EFFECTS.shipped:
+        for item in dataclasses.fields(EFFECTS[name]):
+            if "unit" not in item.metadata:
+                continue
+            row, source = rows()[f"{name}.{item.name}"], item.metadata["source"]
+            word, _, pointer = source.partition(" [")
+            if not (word and row.source.startswith(word)):
+                wrong[f"{name}.{item.name}"] = f"{source!r} in the code, {row.source!r} noted"
+            if pointer != f"notes: {row.file}, {row.heading}]":
+                wrong[f"{name}.{item.name}"] = f"{source!r} does not lead to {row.heading!r}"
+    assert not wrong, wrong

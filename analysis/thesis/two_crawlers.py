@@ -106,8 +106,8 @@ def compare_latent(
 ) -> tuple[dict[str, dict[str, float]], dict[str, np.ndarray]]:
     """Superposition [36] and feedback [57] of one model and its mirror image.
 
-    With a centred basis a neighbour adds P z + V_phi^T mean(phi): displacement from rest. By the
-    theorem of `theory.md` 4, [36] is z_em = N z of isolated cells: it couples no dynamics.
+    With a centred basis a neighbour adds P z + V_phi^T mean(phi): displacement from rest. [36]
+    is z_em = N z of isolated cells and couples no dynamics [notes: theory, superposition].
     """
     rows = np.asarray(model.blocks["field"])
     V, mean, scale = model.V[rows], model.mean[rows], model.scale[rows]

@@ -3,7 +3,7 @@
     dn_b/dt = k_on (n_max - n_b) - k_off n_b ,   k_off = k_0 exp(min(f/f_b, 12))
     dL_r/dt = -v_m max(0, 1 - f/f_st)            L_r >= lambda
 
-f is the load of one bond, pN. Source: mechanics.md 2.3-2.4. Elementwise; numpy or numba.
+f is the load of one bond, pN. Elementwise; numpy or numba [notes: mechanics, clusters].
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
     k_off = k_off0 (1 + (|f|/((n + 0.02) F_b))^2) f = k_b S
     S'    = n (v_matrix - v_cell + v_m e_r) - k_off S
 
-Source: mechanics.md 2.4b (smooth kinetics of this project; many bonds per node).
+Smooth kinetics of this project, for many bonds per node [notes: mechanics, clutch].
 """
 
 from __future__ import annotations

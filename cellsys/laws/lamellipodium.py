@@ -1,9 +1,10 @@
 """Protrusion force of the leading edge.
 
-    F_i = F (1 - z/h)_+ w(cos angle(e_r, p)) (e_r - c e_z)          [thesis 4.4, mechanics 2.4b]
+    F_i = F (1 - z/h)_+ w(cos angle(e_r, p)) (e_r - c e_z)                   [thesis 4.4]
 
 e_r is the outward radial direction from the centroid in the substrate plane, w the smoothstep
-from cosine `edge` to cosine `full`: a hard sector edge would itself be a switch.
+from cosine `edge` to cosine `full`: a hard sector edge would itself be a switch
+[notes: mechanics, lamellipodium].
 """
 
 from __future__ import annotations

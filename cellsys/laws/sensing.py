@@ -4,7 +4,7 @@
 
 rho_j is the horizontal distance from the cell's centroid c. w_j falls smoothly from 1 to 0 over
 the last um of the range (and over 1 um at the inner radius): a hard edge is a switch.
-Source: numerics.md II.4 (stiffness), mechanics.md 3 (stress).
+Stiffness and stress compared: [notes: measurements, sensor].
 """
 
 from __future__ import annotations

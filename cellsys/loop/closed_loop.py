@@ -9,9 +9,9 @@ Linearised about (z*, p*) with T the tangent of p in the substrate plane, dp = T
 
 and broken at kappa, for negative feedback,
 
-    L(s) = (kappa/s) (p*.d* - G(s)),   G(s) = T^T S_d (sI - A)^-1 B_u T      [theory.md 3]
+    L(s) = (kappa/s) (p*.d* - G(s)),   G(s) = T^T S_d (sI - A)^-1 B_u T
 
-whose gain margin is the factor on kappa.
+whose gain margin is the factor on kappa [notes: theory, return ratio].
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ on two nodes of a chain (`Chain`). Between switches, with heading h = +-1 and te
     dp_trail/dt = h (e_cell + e_dECM - e_ECM1) - e_Btrail - b_E f_ECM1            [thesis 38]
 
 with ECM1 the trail's node and ECM2 the lead's: the adhesion force is written by the balance of
-the attached node, b_E f_ECM = sum of tensions + adhesion. `theory.md` 5 lists the readings.
+the attached node, b_E f_ECM = sum of tensions + adhesion [notes: theory, crawler].
 
 Switching: the lead lets go and takes the next node ahead when its adhesion has relaxed to
 `grab`; the trail breaks and takes the next node when its adhesion is stretched to `rupture`. The
@@ -82,7 +82,7 @@ class Crawler:
 
     Notes
     -----
-    Default numbers: measured working set, `numerics.md` C (dimensionless there).
+    Default numbers: a working set without dimensions [notes: mechanics, crawler].
     """
 
     mass: float = 0.2
@@ -274,7 +274,7 @@ def check_places(cells: tuple[Crawler, ...], chain: Chain) -> None:
 
 
 def _junctions(cells: tuple[Crawler, ...], chain: Chain) -> sp.csr_array:
-    """W_eta of thesis eq. 39 with the readings of `theory.md` 5."""
+    """W_eta of thesis eq. 39 as it is read in [notes: theory, crawler]."""
     K, N = len(cells), chain.nodes
     W = sp.lil_array((10 * K + N, 10 * K + N))
     for k, cell in enumerate(cells):

@@ -1,10 +1,10 @@
 """The 2.5-D full-order model: cells on a fibre disc, assembled from the effects of a scene.
 
-    C dx/dt = sum of nodal efforts + exogenous forces          [thesis eq. 60-71, theory.md 1]
+    C dx/dt = sum of nodal efforts + exogenous forces          [thesis eq. 60-71]
 
 Every effect that is present puts elements on junction arrays (nodes of a cell, nodes of the
 matrix); each element's port is a block of eta with the constant block I/C of W_eta. What is
-absent has no block, no state and no cost.
+absent has no block, no state and no cost [notes: mechanics, equation of motion].
 """
 
 from __future__ import annotations

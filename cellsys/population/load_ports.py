@@ -6,7 +6,8 @@
 Superposing loads on one field is exact where it is linear; superposing isolated displacements is
 not. Each cell has its own E_k, so distance, boundary and neighbours come in by themselves. If
 every cell is passive at its port and the field is, no sum of them grows, for any K and any
-placement: a certificate, not a simulation.                            [theory.md 4 and 4b]
+placement: a certificate, not a simulation.
+[notes: theory, load ports] [notes: theory, passivity]
 """
 
 from __future__ import annotations
@@ -117,7 +118,8 @@ class LoadPorts:
             raise ParameterError(
                 f"the velocity input C makes the port active: passivity index "
                 f"{passivity.index:.2g} at {passivity.frequency:.3g} rad/s, bound -1e-10; freely "
-                "fitted inputs become unstable from some number of cells on (numerics: 10). Use "
+                "fitted inputs become unstable from some number of cells on "
+                "[notes: measurements, free ports]. Use "
                 "CellPort.collocated(...), or allow_active=True to compute all the same"
             )
 

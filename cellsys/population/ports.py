@@ -17,7 +17,7 @@ import scipy.linalg as sla
 
 from cellsys.errors import DataError, DimensionError, ParameterError
 
-ACTIVE = -1e-10  # passivity index below which a port counts as active (theory.md 4b)
+ACTIVE = -1e-10  # a port below counts as active [notes: theory, passivity]
 _RESIDUAL = 1e-10
 
 

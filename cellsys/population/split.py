@@ -19,7 +19,7 @@ from cellsys.errors import ParameterError
 from cellsys.population.maps import other_rows
 
 EPS = float(np.finfo(float).eps)
-DOUBTFUL = 1e-7  # below this 1 - lambda is not determined by data (theory.md 4)
+DOUBTFUL = 1e-7  # below, data do not decide [notes: theory, rank decision]
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,10 +20,10 @@ from cellsys.system import Block, Layout, OdeSystem
 
 
 def rest_offset(cells: Any) -> np.ndarray:
-    """(K, m): what neighbours add to z besides P z_l when z = 0 is not rest [theory.md 4].
+    """(K, m): what neighbours add to z besides P z_l when z = 0 is not rest.
 
     With a centred basis each neighbour adds its mean field, V_phi^T S^-1 mean(phi); zero for
-    `Feedback`, which couples rates.
+    `Feedback`, which couples rates [notes: theory, superposition].
     """
     model, K = cells.model, cells.n_cells
     if not cells.coupling.inverted() or K == 1:

@@ -30,7 +30,8 @@ METHODS = (PCR(), LeastSquares(), Ridge(), Contractive())
 class ComparedModel:
     """One row: what a model is worth held out, how stable it is, what it costs.
 
-    `error` is the relative roll-out error rc on `block` [theory.md 2], infinite where the model
+    `error` is the relative roll-out error rc on `block`
+    [notes: theory, errors and baselines], infinite where the model
     diverges; `floor` the projection floor; `abscissa` in 1/s and `radius` per step of the model
     (NaN for a continuous one); `fit_s` without the shared basis; `roll_out_ms` of one held-out
     run, reconstruction left out (NaN where the model diverges); `growth`, `growth_bound` in 1/s

@@ -42,9 +42,9 @@ class LatentModel(Drawable):
     """A reduced model, continuous or the generator of a step.
 
         dt is None :  z' = A z + B c + b
-        dt given   :  z+ = z + dt (A z + B c + b)          [theory.md 2; A is thesis eq. 24]
+        dt given   :  z+ = z + dt (A z + B c + b)          [thesis eq. 24]
 
-    with z = V^T S^-1 (x~ - mean) and x~ = [x; eta] ~ mean + S V z.
+    with z = V^T S^-1 (x~ - mean) and x~ = [x; eta] ~ mean + S V z [notes: theory, regression].
 
     Parameters
     ----------

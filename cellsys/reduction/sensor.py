@@ -3,7 +3,7 @@
     d ~ K_d [1; z]        |d| = 1 after normalisation        [thesis eq. 84]
 
 The thesis's regressors [P_F z; P_c z] are linear in z and rank-deficient together, so z itself
-is used (theory.md 3).
+is used [notes: theory, sensor].
 """
 
 from __future__ import annotations

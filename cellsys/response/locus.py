@@ -53,7 +53,8 @@ def root_locus(sys: Any, values: Any = None) -> RootLocus:
 
         A(k) = A - k B (I + k D)^-1 C
 
-    A locus over kappa is the gain locus of the return ratio broken at kappa (theory.md 3), k being
+    A locus over kappa is the gain locus of the return ratio broken at kappa
+    [notes: theory, return ratio], k being
     the factor on kappa; or pass a function ``kappa -> closed-loop system``.
 
     Parameters

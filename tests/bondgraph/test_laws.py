@@ -27,7 +27,7 @@ from cellsys.system import Block
 
 
 def oscillator():
-    """Mass 1, cubic spring, quadratic damper (numerics.md B)."""
+    """Mass 1, cubic spring, quadratic damper [notes: measurements, smooth case]."""
     return BondGraph(
         [One("v"), I("m", 1.0, p0=0.3), C("k", law=lambda q: q + 0.5 * q**3, q0=1.0),
          R("b", law=lambda v: 0.1 * v + 0.2 * v * (v * v) ** 0.5)],

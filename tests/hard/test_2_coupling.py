@@ -34,7 +34,7 @@ def expanded(found):
 def nearly_matrix_directions(exponent, m, K, seed):
     """1 - lambda = 10^exponent once: copies of A while determined, both sets below that.
 
-    theory.md 4: at 1e-7 the data stop deciding; exact poles are those of A by the
+    [notes: theory, rank decision] At 1e-7 the data stop deciding; exact poles are those of A by the
     theorem, or of its compression where the direction counts as purely matrix.
     """
     gap = np.random.default_rng(seed).uniform(0.2, 0.8, m)

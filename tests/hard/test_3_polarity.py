@@ -18,7 +18,7 @@ X, Y, Z = np.eye(3)
 
 
 def exact(p, d, kappa, dt):
-    """theory.md 3 at 60 digits: tan(theta/2) decays by exp(-kappa |p| |d| dt)."""
+    """tan(theta/2) decays by exp(-kappa |p| |d| dt), 60 digits [notes: theory, polarity law]."""
     with mp.workdps(60):
         a, b = mp.matrix([mp.mpf(float(v)) for v in p]), mp.matrix([mp.mpf(float(v)) for v in d])
         n, m = mp.norm(a), mp.norm(b)

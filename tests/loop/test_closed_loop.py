@@ -144,7 +144,7 @@ def test_no_gain_margin_where_the_sensor_cannot_disturb():
 
 
 def test_no_kappa_cures_static_feedback_beyond_one():
-    """G(0) > |d|: a real pole stays in the right half-plane for every kappa [theory.md 3]."""
+    """G(0) > |d|: a real pole stays right for every kappa [notes: theory, return ratio]."""
     loop = two_state(pole=0.1, coupling=1.3, kappa=0.01)
     point = loop.linearize((np.zeros(2), heading(0.0)))
     for factor in np.geomspace(1e-4, 1e4, 17):

@@ -97,7 +97,7 @@ def test_W_eta_equals_hand_coded_rates(name):
 
 
 def test_W_is_constant_with_simple_entries():
-    """48 x 50 and of rank 46 for 40 nodes [theory: d_ecm and d_cell repeat others]."""
+    """48 x 50 and of rank 46: d_ecm and d_cell repeat others [notes: theory, crawler]."""
     system = build_crawlers([Crawler()])
     W = system.W_eta.toarray()
     assert set(np.unique(W)) == {0.0, 1.0, -1.0, -system.chain.drag}
@@ -128,7 +128,7 @@ def test_bond_graph_gives_the_same_rates():
 
 @pytest.fixture(scope="module")
 def reference():
-    """The run of numerics.md C at 1e-12."""
+    """The run of the working set at 1e-12 [notes: measurements, crawler]."""
     return simulate(
         build_crawlers([Crawler()]), DOP853(rtol=1e-12, atol=1e-13), np.linspace(0, 28, 281),
         auxiliaries=False,

@@ -48,7 +48,7 @@ def dmd_with_known_input(data, basis, intercept=True):
 @pytest.mark.parametrize("scale", ["none", "block", "column"])
 @pytest.mark.parametrize("order", [1, 3, 7, 12])
 def test_pcr_is_least_squares_dmd_in_pca_coordinates(scale, order):
-    """[theory.md 2] Same samples in mean, basis and regression: equal to rounding."""
+    """Same samples in mean, basis and regression: equal to rounding [notes: theory, regression]."""
     data = one_step_data(seed=order, scale=scale)
     basis = fit_basis(data, order)
     A, b = dmd_with_known_input(data, basis)
@@ -73,7 +73,10 @@ def test_the_identity_holds_with_neither_centring_nor_intercept_and_breaks_with_
 
 
 def test_backward_differences_turn_the_sign_of_damping():
-    """Stationary AR(1): forward -(1 - rho)/dt, backward +(1 - rho)/dt [theory.md 2]."""
+    """Stationary AR(1): forward -(1 - rho)/dt, backward +(1 - rho)/dt.
+
+    [notes: theory, regression]
+    """
     rho, dt = 0.5, 0.1
     data = ar1_data(rho, dt=dt)
     # the standard error of rho from 40 000 samples is sqrt(1 - rho^2)/200 = 0.0043, over dt 0.043;

@@ -173,7 +173,8 @@ def test_root_locus_over_a_gain() -> None:
 
 
 def test_root_locus_over_kappa() -> None:
-    # theory.md 3: the closed-loop matrix over kappa, and L_kappa whose gain is the factor on it.
+    # [notes: theory, return ratio]
+    # The closed-loop matrix over kappa, and L_kappa whose gain is the factor on it.
     A, b, s, d = np.array([[-1.0, 2], [-2, -1]]), np.array([[1.0], [0.5]]), 0.8, 1.0
     row = s * np.array([[0.3, -1.5]])
 

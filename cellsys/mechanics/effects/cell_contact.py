@@ -89,11 +89,15 @@ class CellContact(Effect):
     not_on: ClassVar[dict[str, str]] = {"chain": "crawlers meet at the nodes of the chain"}
     stiffness: float = parameter(
         "1000 pN/um", "pN/um", least=0.0,
-        source="cellsys choice: 200 pN/um of mechanics 2.7 yields to a lamellipodium of 600 pN",
+        source="calibrated here [notes: mechanics, contact]",
         about="repulsion of a node",
     )  # fmt: skip
     gap: float = parameter(
-        "0.5 um", "um", above=0.0, source="mechanics 2.7", about="distance at which it starts"
+        "0.5 um",
+        "um",
+        above=0.0,
+        source="assumed [notes: mechanics, contact]",
+        about="distance at which it starts",
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:

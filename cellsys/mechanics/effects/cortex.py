@@ -44,15 +44,19 @@ class Cortex(Effect):
     }
     not_on: ClassVar[dict[str, str]] = {"chain": "a crawler is two masses and has no cortex"}
     drag: float = parameter(
-        "1000 pN s/um", "pN s/um", above=0.0, source="thesis code C_cort",
+        "1000 pN s/um", "pN s/um", above=0.0, source="thesis, C_cort [notes: mechanics, cortex]",
         about="friction between a cortex node and its membrane node",
     )  # fmt: skip
     tension: float = parameter(
-        "150 pN/um", "pN/um", least=0.0, source="numerics II.1", about="surface tension gamma"
+        "150 pN/um",
+        "pN/um",
+        least=0.0,
+        source="working set [notes: mechanics, cortex]",
+        about="surface tension gamma",
     )
     link: float = parameter(
         "100 pN/um", "pN/um", least=0.0,
-        source="cellsys choice: k_cc of mechanics 1.1, the stiffness of a membrane edge",
+        source="chosen here [notes: mechanics, cortex]",
         about="spring between a cortex node and its membrane node",
     )  # fmt: skip
 

@@ -36,14 +36,47 @@ class ExternalStrain(Effect):
     active: ClassVar[bool] = True
     not_on: ClassVar[dict[str, str]] = {"chain": "the walls of a chain do not move"}
     region: str = parameter(
-        "rim", choices=("rim", "patch"), source="scene", about="nodes that are moved"
+        "rim",
+        choices=("rim", "patch"),
+        source="scene [notes: matrix, external load and strain]",
+        about="nodes that are moved",
     )
-    strain: float = parameter("0.05", source="scene", about="stretch along the direction")
-    displacement: float = parameter("0 um", "um", source="scene", about="shift of all its nodes")
-    direction: float = parameter("0 deg", "rad", source="scene", about="angle in the plane")
-    x: float = parameter("0 um", "um", source="scene", about="centre of the patch")
-    y: float = parameter("0 um", "um", source="scene", about="centre of the patch")
-    radius: float = parameter("5 um", "um", above=0.0, source="scene", about="radius of the patch")
+    strain: float = parameter(
+        "0.05",
+        source="scene [notes: matrix, external load and strain]",
+        about="stretch along the direction",
+    )
+    displacement: float = parameter(
+        "0 um",
+        "um",
+        source="scene [notes: matrix, external load and strain]",
+        about="shift of all its nodes",
+    )
+    direction: float = parameter(
+        "0 deg",
+        "rad",
+        source="scene [notes: matrix, external load and strain]",
+        about="angle in the plane",
+    )
+    x: float = parameter(
+        "0 um",
+        "um",
+        source="scene [notes: matrix, external load and strain]",
+        about="centre of the patch",
+    )
+    y: float = parameter(
+        "0 um",
+        "um",
+        source="scene [notes: matrix, external load and strain]",
+        about="centre of the patch",
+    )
+    radius: float = parameter(
+        "5 um",
+        "um",
+        above=0.0,
+        source="scene [notes: matrix, external load and strain]",
+        about="radius of the patch",
+    )
     history: History = History((0.0, 100.0), (0.0, 1.0))
 
     def elements(self, site: Site) -> tuple[Element, ...]:

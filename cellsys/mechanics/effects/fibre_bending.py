@@ -76,10 +76,11 @@ def bend_forces(rest, u, triples, angle, modulus, force, present):
 
 @dataclass(frozen=True)
 class FibreBending(Effect):
-    """Bending stiffness at crosslinks, E = kappa_b/(2 l) (theta - theta0)^2 (mechanics.md 2.6).
+    """Bending stiffness at crosslinks, E = kappa_b/(2 l) (theta - theta0)^2.
 
     For every pair of fibres that meet at a node and deviate from a straight line by less than
-    `straight`; theta0 is the angle at rest, l the mean of the two lengths at rest.
+    `straight`; theta0 is the angle at rest, l the mean of the two lengths at rest
+    [notes: matrix, fibre bending].
     """
 
     name: ClassVar[str] = "fibre_bending"
@@ -88,10 +89,10 @@ class FibreBending(Effect):
     not_on: ClassVar[dict[str, str]] = {"chain": "in one dimension nothing bends"}
     rigidity: float = parameter(
         "19.6 pN um^2", "pN um^2", least=0.0,
-        source="mechanics 2.6: E_f pi d^4/64 at 4 MPa and 100 nm", about="kappa_b",
+        source="derived from assumed d and E_f [notes: matrix, fibre bending]", about="kappa_b",
     )  # fmt: skip
     straight: float = parameter(
-        "30 deg", "rad", above=0.0, most=np.pi / 2, source="mechanics 2.6",
+        "30 deg", "rad", above=0.0, most=np.pi / 2, source="assumed [notes: matrix, fibre bending]",
         about="deviation below which two fibres run on",
     )  # fmt: skip
 

@@ -36,13 +36,25 @@ class Drag(Effect):
     acts_on: ClassVar[str] = "scene"
     not_on: ClassVar[dict[str, str]] = {"chain": "its drags are drag of [matrix] and of [[cells]]"}
     cell: float = parameter(
-        "1000 pN s/um", "pN s/um", above=0.0, source="thesis code C_c", about="membrane node"
+        "1000 pN s/um",
+        "pN s/um",
+        above=0.0,
+        source="thesis, C_c [notes: mechanics, drag]",
+        about="membrane node",
     )
     cortex: float = parameter(
-        "1000 pN s/um", "pN s/um", least=0.0, source="thesis code C_cort", about="cortex, condensed"
+        "1000 pN s/um",
+        "pN s/um",
+        least=0.0,
+        source="thesis, C_cort [notes: mechanics, drag]",
+        about="cortex, condensed",
     )
     matrix: float = parameter(
-        "1000 pN s/um", "pN s/um", above=0.0, source="thesis code C_e", about="matrix node"
+        "1000 pN s/um",
+        "pN s/um",
+        above=0.0,
+        source="thesis, C_e [notes: mechanics, drag]",
+        about="matrix node",
     )
 
 
@@ -58,20 +70,30 @@ class MatrixElasticity(Effect):
     law: str = parameter(
         "buckling",
         choices=("linear", "buckling", "stiffening"),
-        source="numerics II.1",
+        source="working set [notes: matrix, fibres]",
         about="axial law",
     )
     buckling_ratio: float = parameter(
-        "0.3", above=0.0, most=1.0, source="numerics II.1", about="slope in compression"
+        "0.3",
+        above=0.0,
+        most=1.0,
+        source="working set [notes: matrix, fibres]",
+        about="slope in compression",
     )
     blend: float = parameter(
-        "0.002", above=0.0, source="numerics II.1", about="strain over which the slope changes"
+        "0.002",
+        above=0.0,
+        source="working set [notes: matrix, fibres]",
+        about="strain over which the slope changes",
     )
     onset: float = parameter(
-        "0.05", above=0.0, source="mechanics 2.6", about="strain at which stiffening starts"
+        "0.05",
+        above=0.0,
+        source="assumed [notes: matrix, fibres]",
+        about="strain at which stiffening starts",
     )
     greatest_slope: float = parameter(
-        "10", least=1.0, source="mechanics 2.6", about="slope after stiffening"
+        "10", least=1.0, source="assumed [notes: matrix, fibres]", about="slope after stiffening"
     )
 
     def fibre_law(self) -> FibreLaw:
@@ -183,7 +205,11 @@ class Foundation(Effect):
     acts_on: ClassVar[str] = "matrix"
     not_on: ClassVar[dict[str, str]] = {"chain": "a chain is held by its two walls only"}
     spring: float = parameter(
-        "500 pN/um", "pN/um", least=0.0, source="numerics II.1", about="vertical spring of a node"
+        "500 pN/um",
+        "pN/um",
+        least=0.0,
+        source="working set [notes: matrix, foundation]",
+        about="vertical spring of a node",
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:

@@ -61,14 +61,21 @@ class MatrixCreep(Effect):
     needs: ClassVar[tuple[str, ...]] = ("matrix_elasticity",)
     not_on: ClassVar[dict[str, str]] = {"chain": "the springs of a chain are elastic"}
     branch: str = parameter(
-        "maxwell", choices=("maxwell", "kelvin"), source="standard linear solid", about="branch"
+        "maxwell",
+        choices=("maxwell", "kelvin"),
+        source="standard linear solid [notes: matrix, matrix creep]",
+        about="branch",
     )
     ratio: float = parameter(
-        "0.5", least=0.0, source="cellsys choice",
+        "0.5", least=0.0, source="chosen here [notes: matrix, matrix creep]",
         about="q: branch over fibre stiffness (maxwell), fibre over branch (kelvin)",
     )  # fmt: skip
     time: float = parameter(
-        "100 s", "s", above=0.0, source="cellsys choice", about="relaxation time tau"
+        "100 s",
+        "s",
+        above=0.0,
+        source="chosen here [notes: matrix, matrix creep]",
+        about="relaxation time tau",
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:

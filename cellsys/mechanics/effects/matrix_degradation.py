@@ -62,16 +62,32 @@ class MatrixDegradation(Effect):
     needs: ClassVar[tuple[str, ...]] = ("matrix_elasticity",)
     not_on: ClassVar[dict[str, str]] = {"chain": "the springs of a chain keep their stiffness"}
     rate: float = parameter(
-        "0.001 1/s", "1/s", least=0.0, source="cellsys choice", about="loss of a fibre at a cell"
+        "0.001 1/s",
+        "1/s",
+        least=0.0,
+        source="chosen here [notes: matrix, matrix degradation]",
+        about="loss of a fibre at a cell",
     )
     least: float = parameter(
-        "0.1", least=0.0, most=1.0, source="cellsys choice", about="share that always stays"
+        "0.1",
+        least=0.0,
+        most=1.0,
+        source="chosen here [notes: matrix, matrix degradation]",
+        about="share that always stays",
     )
     reach: float = parameter(
-        "2 um", "um", above=0.0, source="cellsys choice", about="distance that enzymes reach"
+        "2 um",
+        "um",
+        above=0.0,
+        source="chosen here [notes: matrix, matrix degradation]",
+        about="distance that enzymes reach",
     )
     width: float = parameter(
-        "0.5 um", "um", above=0.0, source="cellsys choice", about="width of that distance"
+        "0.5 um",
+        "um",
+        above=0.0,
+        source="chosen here [notes: matrix, matrix degradation]",
+        about="width of that distance",
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:

@@ -123,13 +123,24 @@ class MembraneElasticity(Effect):
     name: ClassVar[str] = "membrane_elasticity"
     not_on: ClassVar[dict[str, str]] = {"chain": "a crawler is two masses and has no membrane"}
     line: float = parameter(
-        "100 pN/um", "pN/um", least=0.0, source="numerics II.1", about="edge spring k_l"
+        "100 pN/um",
+        "pN/um",
+        least=0.0,
+        source="working set [notes: mechanics, membrane]",
+        about="edge spring k_l",
     )
     stiffening: float = parameter(
-        "2", least=0.0, source="cellsys calibration", about="cubic stiffening of the edges"
+        "2",
+        least=0.0,
+        source="calibrated here [notes: mechanics, membrane]",
+        about="cubic stiffening of the edges",
     )
     area: float = parameter(
-        "50 pN/um", "pN/um", least=0.0, source="numerics II.1", about="area modulus k_a"
+        "50 pN/um",
+        "pN/um",
+        least=0.0,
+        source="working set [notes: mechanics, membrane]",
+        about="area modulus k_a",
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
@@ -181,7 +192,11 @@ class CorticalTension(Effect):
         "chain": "a crawler has no membrane; stiffness of [[cells]] draws it together"
     }
     tension: float = parameter(
-        "150 pN/um", "pN/um", least=0.0, source="numerics II.1", about="surface tension gamma"
+        "150 pN/um",
+        "pN/um",
+        least=0.0,
+        source="working set [notes: mechanics, cortical tension]",
+        about="surface tension gamma",
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
@@ -227,7 +242,11 @@ class Volume(Effect):
     name: ClassVar[str] = "volume"
     not_on: ClassVar[dict[str, str]] = {"chain": "a crawler is two masses and encloses no volume"}
     modulus: float = parameter(
-        "300 pN/um^2", "pN/um^2", least=0.0, source="numerics II.1", about="K_V"
+        "300 pN/um^2",
+        "pN/um^2",
+        least=0.0,
+        source="working set [notes: mechanics, volume]",
+        about="K_V",
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
@@ -272,9 +291,19 @@ class SubstrateContact(Effect):
         "chain": "a crawler moves along the chain and does not press on it"
     }
     stiffness: float = parameter(
-        "1000 pN/um", "pN/um", least=0.0, source="mechanics 2.7", about="wall stiffness"
+        "1000 pN/um",
+        "pN/um",
+        least=0.0,
+        source="assumed [notes: mechanics, contact]",
+        about="wall stiffness",
     )
-    gap: float = parameter("0.05 um", "um", least=0.0, source="mechanics 2.7", about="wall height")
+    gap: float = parameter(
+        "0.05 um",
+        "um",
+        least=0.0,
+        source="assumed [notes: mechanics, contact]",
+        about="wall height",
+    )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
         return (_ContactElement(self, site.cell),)

@@ -38,7 +38,11 @@ class Noise(Effect):
         "chain": "its switches are found by their roots, which a random force does not have"
     }
     temperature: float = parameter(
-        "310 K", "K", least=0.0, source="body temperature", about="absolute temperature"
+        "310 K",
+        "K",
+        least=0.0,
+        source="body temperature [notes: mechanics, noise]",
+        about="absolute temperature",
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:

@@ -30,7 +30,7 @@ from cellsys.mechanics.geometry.membrane import Membrane, sphere, volume_gradien
 from cellsys.mechanics.tangent import diagonal, laplacian
 from cellsys.system import Block
 
-_NODES = 60  # mechanics.md 1.1
+_NODES = 60  # assumed [notes: mechanics, nucleus]
 _LINKS = 3  # filaments from each node of the nucleus: three fix a point in space
 
 
@@ -46,27 +46,43 @@ class Nucleus(Effect):
     name: ClassVar[str] = "nucleus"
     not_on: ClassVar[dict[str, str]] = {"chain": "a crawler is two masses and has no nucleus"}
     radius: float = parameter(
-        "2.5 um", "um", above=0.0, source="mechanics 1.1", about="radius at rest"
+        "2.5 um",
+        "um",
+        above=0.0,
+        source="assumed [notes: mechanics, nucleus]",
+        about="radius at rest",
     )
     drag: float = parameter(
         "1000 pN s/um", "pN s/um", above=0.0,
-        source="cellsys choice: the drag of a membrane node", about="drag of a node",
+        source="chosen here [notes: mechanics, nucleus]", about="drag of a node",
     )  # fmt: skip
     line: float = parameter(
-        "1000 pN/um", "pN/um", least=0.0, source="mechanics 1.1: 10 x membrane", about="edge spring"
+        "1000 pN/um",
+        "pN/um",
+        least=0.0,
+        source="assumed [notes: mechanics, nucleus]",
+        about="edge spring",
     )
     area: float = parameter(
-        "500 pN/um", "pN/um", least=0.0, source="mechanics 1.1: 10 x membrane", about="area modulus"
+        "500 pN/um",
+        "pN/um",
+        least=0.0,
+        source="assumed [notes: mechanics, nucleus]",
+        about="area modulus",
     )
     modulus: float = parameter(
-        "3000 pN/um^2", "pN/um^2", least=0.0, source="mechanics 1.1: 10 x membrane", about="K_V"
+        "3000 pN/um^2",
+        "pN/um^2",
+        least=0.0,
+        source="assumed [notes: mechanics, nucleus]",
+        about="K_V",
     )
     filament: float = parameter(
         "10 pN/um", "pN/um", least=0.0,
-        source="cellsys choice: a tenth of a membrane edge", about="spring of a filament",
+        source="chosen here [notes: mechanics, nucleus]", about="spring of a filament",
     )  # fmt: skip
     stiffening: float = parameter(
-        "2", least=0.0, source="cellsys choice: that of the membrane",
+        "2", least=0.0, source="chosen here [notes: mechanics, nucleus]",
         about="cubic stiffening of edges and filaments",
     )  # fmt: skip
 

@@ -37,19 +37,38 @@ class Lamellipodium(Effect):
         "chain": "a crawler has no motor, it is driven by the springs it takes up again"
     }
     force: float = parameter(
-        "600 pN", "pN", least=0.0, source="mechanics 2.4b F_L0", about="force of a leading node"
+        "600 pN",
+        "pN",
+        least=0.0,
+        source="working set [notes: mechanics, lamellipodium]",
+        about="force of a leading node",
     )
     height: float = parameter(
-        "2.5 um", "um", above=0.0, source="mechanics 2.4b", about="height at which it vanishes"
+        "2.5 um",
+        "um",
+        above=0.0,
+        source="working set [notes: mechanics, lamellipodium]",
+        about="height at which it vanishes",
     )
     edge: float = parameter(
-        "0.1", least=-1.0, most=1.0, source="mechanics 2.4b", about="cosine where the sector starts"
+        "0.1",
+        least=-1.0,
+        most=1.0,
+        source="working set [notes: mechanics, lamellipodium]",
+        about="cosine where the sector starts",
     )
     full: float = parameter(
-        "0.5", least=-1.0, most=1.0, source="mechanics 2.4b", about="cosine of full force"
+        "0.5",
+        least=-1.0,
+        most=1.0,
+        source="working set [notes: mechanics, lamellipodium]",
+        about="cosine of full force",
     )
     downward: float = parameter(
-        "0.3", least=0.0, source="mechanics 2.5", about="downward part of the direction"
+        "0.3",
+        least=0.0,
+        source="assumed [notes: mechanics, lamellipodium]",
+        about="downward part of the direction",
     )
 
     def __post_init__(self) -> None:
@@ -97,7 +116,7 @@ class LamellipodiumElement(Element):
         )
         bonds = s.internal.get(self.bonds)
         if bonds is not None:
-            # Clusters that switch: protrude, bind, then contract [mechanics 2.5].
+            # Clusters that switch: protrude, bind, then contract [notes: mechanics, lamellipodium].
             out[0][bonds >= 1.0] = 0.0
 
     def observe(self, s: Configuration) -> dict[str, np.ndarray]:
@@ -117,7 +136,13 @@ class Polarity(Effect):
     not_on: ClassVar[dict[str, str]] = {
         "chain": "a crawler keeps the heading that polarity of [[cells]] gives it"
     }
-    kappa: float = parameter("1/60 1/s", "1/s", least=0.0, source="thesis code kk", about="gain")
+    kappa: float = parameter(
+        "1/60 1/s",
+        "1/s",
+        least=0.0,
+        source="thesis, code kk [notes: mechanics, polarity]",
+        about="gain",
+    )
 
 
 @dataclass(frozen=True)
@@ -133,17 +158,28 @@ class StiffnessSensing(Effect):
     measure: str = parameter(
         "stiffness",
         choices=("stiffness", "stress"),
-        source="numerics II.4",
+        source="working set [notes: mechanics, sensing]",
         about="nodal tangent stiffness, or tensile stress (the loop then circles for ever)",
     )
     reach: float = parameter(
-        "14 um", "um", above=0.0, source="numerics II.1", about="sensing range"
+        "14 um",
+        "um",
+        above=0.0,
+        source="working set [notes: mechanics, sensing]",
+        about="sensing range",
     )
     inner: float = parameter(
-        "4 um", "um", least=0.0, source="mechanics 3", about="inner radius of the stress shell"
+        "4 um",
+        "um",
+        least=0.0,
+        source="assumed [notes: mechanics, sensing]",
+        about="inner radius of the stress shell",
     )
     threshold: float = parameter(
-        "0.001", least=0.0, source="mechanics 3 eps", about="least |q|/S that turns the cell"
+        "0.001",
+        least=0.0,
+        source="assumed [notes: mechanics, sensing]",
+        about="least |q|/S that turns the cell",
     )
 
 
@@ -245,11 +281,37 @@ class ExternalLoad(Effect):
     acts_on: ClassVar[str] = "matrix"
     active: ClassVar[bool] = True
     not_on: ClassVar[dict[str, str]] = {"chain": "a chain is loaded by its cells only"}
-    force: float = parameter("1000 pN", "pN", source="scene", about="total force at factor 1")
-    direction: float = parameter("0 deg", "rad", source="scene", about="angle in the plane")
-    x: float = parameter("0 um", "um", source="scene", about="centre of the patch")
-    y: float = parameter("0 um", "um", source="scene", about="centre of the patch")
-    radius: float = parameter("5 um", "um", above=0.0, source="scene", about="radius of the patch")
+    force: float = parameter(
+        "1000 pN",
+        "pN",
+        source="scene [notes: matrix, external load and strain]",
+        about="total force at factor 1",
+    )
+    direction: float = parameter(
+        "0 deg",
+        "rad",
+        source="scene [notes: matrix, external load and strain]",
+        about="angle in the plane",
+    )
+    x: float = parameter(
+        "0 um",
+        "um",
+        source="scene [notes: matrix, external load and strain]",
+        about="centre of the patch",
+    )
+    y: float = parameter(
+        "0 um",
+        "um",
+        source="scene [notes: matrix, external load and strain]",
+        about="centre of the patch",
+    )
+    radius: float = parameter(
+        "5 um",
+        "um",
+        above=0.0,
+        source="scene [notes: matrix, external load and strain]",
+        about="radius of the patch",
+    )
     history: History = History((0.0,), (1.0,))
     patches: tuple[ExternalLoad, ...] = ()
 

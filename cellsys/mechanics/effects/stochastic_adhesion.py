@@ -17,13 +17,14 @@ from cellsys.system import Event
 
 @dataclass(frozen=True)
 class StochasticAdhesion(Effect):
-    """Bell clusters with whole bonds (mechanics.md 2.4): in a step dt at a load f per bond
+    """Bell clusters with whole bonds: in a step dt at a load f per bond
 
         gains  ~ Binomial(n_max - n, 1 - exp(-k_on dt))
         losses ~ Binomial(n, 1 - exp(-k_off dt)),   k_off = k_0 exp(f/f_b)
 
     A cluster without a bond is gone. Every cell draws from a stream of its own, given by the
-    run's seed and the cell's name: a further cell changes no number of this one.
+    run's seed and the cell's name: a further cell changes no number of this one
+    [notes: mechanics, stochastic adhesion].
     """
 
     name: ClassVar[str] = "stochastic_adhesion"
@@ -36,34 +37,73 @@ class StochasticAdhesion(Effect):
         "chain": "its adhesions are adhesion_lead and adhesion_trail of [[cells]]"
     }
     bonds: float = parameter(
-        "50", least=1.0, source="mechanics 2.3 n_max", about="most bonds of a cluster"
+        "50",
+        least=1.0,
+        source="assumed [notes: mechanics, stochastic adhesion]",
+        about="most bonds of a cluster",
     )
     bond_stiffness: float = parameter(
-        "40 pN/um", "pN/um", above=0.0, source="numerics II.1 (2 nN/um in all)", about="kappa_LR"
+        "40 pN/um",
+        "pN/um",
+        above=0.0,
+        source="working set [notes: mechanics, stochastic adhesion]",
+        about="kappa_LR",
     )
     rest_length: float = parameter(
-        "0.03 um", "um", least=0.0, source="mechanics 2.3 lambda", about="least bond length"
+        "0.03 um",
+        "um",
+        least=0.0,
+        source="assumed [notes: mechanics, stochastic adhesion]",
+        about="least bond length",
     )
     bind_distance: float = parameter(
-        "1.2 um", "um", above=0.0, source="mechanics 2.3 d_bind", about="greatest length at binding"
+        "1.2 um",
+        "um",
+        above=0.0,
+        source="assumed [notes: mechanics, stochastic adhesion]",
+        about="greatest length at binding",
     )
     bind_rate: float = parameter(
-        "0.1 1/s", "1/s", least=0.0, source="cellsys calibration of mechanics 2.4", about="k_new"
+        "0.1 1/s",
+        "1/s",
+        least=0.0,
+        source="calibrated here [notes: mechanics, stochastic adhesion]",
+        about="k_new",
     )
     gain_rate: float = parameter(
-        "0.5 1/s", "1/s", least=0.0, source="mechanics 2.4 k_on", about="bonds closing"
+        "0.5 1/s",
+        "1/s",
+        least=0.0,
+        source="assumed [notes: mechanics, stochastic adhesion]",
+        about="bonds closing",
     )
     loss_rate: float = parameter(
-        "0.01 1/s", "1/s", least=0.0, source="mechanics 2.4 k_0", about="unloaded bonds opening"
+        "0.01 1/s",
+        "1/s",
+        least=0.0,
+        source="assumed [notes: mechanics, stochastic adhesion]",
+        about="unloaded bonds opening",
     )
     bond_force: float = parameter(
-        "4 pN", "pN", above=0.0, source="cellsys calibration of mechanics 2.4 f_b", about="f_b"
+        "4 pN",
+        "pN",
+        above=0.0,
+        source="calibrated here [notes: mechanics, stochastic adhesion]",
+        about="f_b",
     )
     contraction_speed: float = parameter(
-        "0.01 um/s", "um/s", least=0.0, source="mechanics 2.3 v_m", about="myosin, unloaded"
+        "0.01 um/s",
+        "um/s",
+        least=0.0,
+        source="assumed [notes: mechanics, stochastic adhesion]",
+        about="myosin, unloaded",
     )
     stall_force: float = parameter(
-        "30 pN", "pN", above=0.0, source="cellsys calibration of 2.3 f_st", about="myosin stall"
+        "30 pN",
+        "pN",
+        above=0.0,
+        source="calibrated here [notes: mechanics, stochastic adhesion]",
+        about="myosin stall",
     )
 
     def __post_init__(self) -> None:

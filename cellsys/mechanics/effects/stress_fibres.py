@@ -37,11 +37,15 @@ class StressFibres(Effect):
     }
     tension: float = parameter(
         "50 pN", "pN", least=0.0,
-        source="cellsys choice: mechanics 1.1 names them and gives no number",
+        source="chosen here [notes: mechanics, stress fibres]",
         about="pull of a fibre with all bonds closed",
     )  # fmt: skip
     soft: float = parameter(
-        "0.5 um", "um", above=0.0, source="cellsys choice", about="below this length it fades"
+        "0.5 um",
+        "um",
+        above=0.0,
+        source="chosen here [notes: mechanics, stress fibres]",
+        about="below this length it fades",
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:

@@ -94,7 +94,7 @@ class SwitchingElement(Element):
 
     Binding and rupture happen between steps only; a free node has n_b = L_r = 0 and partner -1,
     and its force is exactly zero. All three are states: a run goes on from its arrays alone.
-    Source: mechanics.md 2.3-2.4.
+    Laws and numbers: [notes: mechanics, clusters].
     """
 
     def __init__(self, effect: Effect, cell: CellBody, disc: Disc) -> None:

@@ -40,7 +40,7 @@ class Chain:
 
     Notes
     -----
-    Default numbers: measured working set, `numerics.md` C (dimensionless there).
+    Default numbers: a working set without dimensions [notes: mechanics, crawler].
     """
 
     nodes: int = 40

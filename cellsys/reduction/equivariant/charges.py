@@ -6,7 +6,8 @@ alpha, Z_m becomes Z_m e^{-i m alpha} and W_m becomes W_m e^{i (1 - m) alpha}; t
     Z_{-q},   W_{1-q},   conj W_{1+q}                                        charge q >= 0
 
 all turn by e^{i q alpha}. A mirror image conjugates them, so a linear law that respects both
-symmetries is block diagonal in q with real matrices [theory.md 4b]. Charge 0 is real: its
+symmetries is block diagonal in q with real matrices
+[notes: theory, equivariant cell]. Charge 0 is real: its
 mirror-odd part (swirl) is zero for an isolated cell and is not carried.
 """
 

@@ -6,7 +6,7 @@
 
 r(a) = [1; a - 1; (a - 1)^2]; x_q are coordinates in which ||A_q||_2 <= 1 at every vertex, so that
 
-    |x+|^2 - |x|^2 <= -2 gamma f.y          (u = 0; exact for every schedule)    [theory.md 4b]
+    |x+|^2 - |x|^2 <= -2 gamma f.y          (u = 0; every schedule)    [notes: theory, passivity]
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class ErrorBands:
 
     The residuals are those of models that never saw the run (folds over *runs*): they hold the
     sampling error, the model's form and the realisation of the network alike. Bootstrap or
-    ensemble spread alone covers half of what it claims [numerics.md III.5].
+    ensemble spread alone covers half of what it claims [notes: measurements, error bands].
 
     Parameters
     ----------

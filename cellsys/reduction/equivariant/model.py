@@ -35,7 +35,7 @@ class Pole:
 
 
 class EquivariantModel(LatentModel):
-    """A cell as azimuthal charges; see `CellDynamics` for its equations  [theory.md 4b].
+    """A cell as azimuthal charges; see `CellDynamics` [notes: theory, equivariant cell].
 
     z = [x_0, Re x_1, Im x_1, ..., centroid x, centroid y]; a step model of `dt` seconds whose
     matrices follow a clock that starts at contact. `A`, `B`, `offset` are those frozen at the end

@@ -5,7 +5,7 @@
 
 E_k scatters and gathers through the same footprint, so every exchange is power-conjugate and
 
-    sum_q dt |x_q|^2 / (2 gamma_q) + U   does not grow without commands    [theory.md 4b]
+    sum_q dt |x_q|^2 / (2 gamma_q) + U   does not grow without commands  [notes: theory, passivity]
 
 for any number and placement of cells, as long as every block is contractive and the implicit
 step of the field does not gain energy.

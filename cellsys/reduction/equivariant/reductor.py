@@ -1,4 +1,4 @@
-"""`Equivariant`: the default reductor for cells on a homogeneous matrix  [theory.md 4b]."""
+"""`Equivariant`: the default on a homogeneous matrix [notes: theory, equivariant cell]."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ class Clock:
     """Vertices of the schedule, evenly spread over s in [0, 1]; one vertex is no schedule.
 
     The clock is stable by itself and does not look at the cell: a schedule read from the state
-    has false equilibria (a cell that stays round) [numerics.md III.2].
+    has false equilibria (a cell that stays round) [notes: measurements, clock].
 
     Parameters
     ----------

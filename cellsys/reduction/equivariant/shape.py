@@ -33,7 +33,9 @@ def harmonics(material: np.ndarray, degree: int, m: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class ShapeBasis:
-    """x_i = c + sum_lm C_lm Y_lm(xi_i), xi_i the material point of node i  [theory.md 4b].
+    """x_i = c + sum_lm C_lm Y_lm(xi_i), xi_i the material point of node i.
+
+    See [notes: theory, equivariant cell].
 
     Parameters
     ----------

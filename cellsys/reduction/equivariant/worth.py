@@ -1,6 +1,7 @@
 """What an equivariant model is worth: roll-out errors per block beside floors and baselines.
 
-Every number is over whole roll-outs from the start, commands only as input [theory.md 2]:
+Every number is over whole roll-outs from the start, commands only as input
+[notes: theory, errors and baselines]:
 `cells` absolute node positions over the displacement from the start, `shape` without the centroid,
 `centroid` in the plane, `loads` the load density (L2 over the port).
 """

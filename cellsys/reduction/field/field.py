@@ -3,7 +3,7 @@
     C q' = F(q) + load,     F = -dU/dq,     q = coordinates of the displacement u = U q
 
 a gradient flow: U' = load . q' - C |q'|^2, passive at any port that takes load E^T f and gives
-y = E q' (theory.md 4, `LoadPorts`).
+y = E q' [notes: theory, load ports].
 """
 
 from __future__ import annotations

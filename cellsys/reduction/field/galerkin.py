@@ -19,7 +19,7 @@ from cellsys.reduction.field.modes import response_modes
 class GalerkinField(MatrixField):
     """Galerkin projection of the matrix's own fibre energy on load-response modes.
 
-        C_e q' = -d/dq U(U q) + U^T f        u = U q, U^T U = I        [theory.md 4, 4b]
+        C_e q' = -d/dq U(U q) + U^T f        u = U q, U^T U = I   [notes: theory, matrix field]
 
     All fibres are evaluated each time; the projected flow is the gradient flow of an energy, hence
     passive at collocated ports.

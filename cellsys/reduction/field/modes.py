@@ -1,9 +1,10 @@
-"""Field modes: POD of the matrix's own responses to loads at random places (numerics.md III.3).
+"""Field modes: POD of the matrix's own responses to loads at random places.
 
 Loads are smooth patches as a cell exerts them: radial hats times azimuthal orders around a place,
 each with a radial, a tangential and a vertical part, random coefficients. Responses are those of
 the *nonlinear* matrix: modes of the linear one cannot follow the way load paths move when fibres
-buckle (`analysis/field_truth.py` prints both; the projection floors are nearly the same).
+buckle (`analysis/field_truth.py` prints both; projection floors are nearly the same)
+[notes: measurements, field modes].
 """
 
 from __future__ import annotations
