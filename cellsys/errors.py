@@ -84,6 +84,22 @@ class FileFormatError(CellsysError, ValueError):
     """A file is truncated, foreign, or of another schema version."""
 
 
+class LostRunError(CellsysError, OSError):
+    """The folder of a run was removed, or taken over by another process, while it was written."""
+
+
+class DamagedRunWarning(UserWarning):
+    """A run in the cache is damaged or incomplete, and is made again."""
+
+
+class ForeignRunWarning(UserWarning):
+    """Runs were made on another kind of processor: they may differ in the last digits."""
+
+
+class ExecutorError(CellsysError, RuntimeError):
+    """What was to run the work is gone: a scheduler that does not answer, workers that died."""
+
+
 class BudgetError(CellsysError, MemoryError):
     """A scene or data set asks for more memory than there is."""
 

@@ -10,20 +10,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cellsys.cli.ending import say, say_ending
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
 class Commands(typer.core.TyperGroup):
-    """Ctrl-C in any command is one line and exit code 1."""
+    """A signal to end, in any command, is one line and the exit code of the signal."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; see the class."""
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            print("cellsys: interrupted; finished runs are kept", file=sys.stderr)
-            sys.exit(1)
+        except KeyboardInterrupt as stop:
+            sys.exit(say_ending(stop, "finished runs are kept"))
 
 
 app = typer.Typer(
@@ -39,12 +40,15 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")
 ModelFile = Annotated[Path, typer.Argument(help="A model written by cellsys (npz).")]
 SceneFile = Annotated[Path, typer.Argument(help="A scene file (toml).")]
 
-def say_error(error: Exception) -> None:
-    """One line on standard error."""
+
+
+def say_error(error: Exception, code: int) -> int:
+    """One line on standard error; gives the exit code back."""
     text = str(error)
     if isinstance(error, OSError) and error.strerror:
         text = f"{error.strerror}: {error.filename!r}" if error.filename else error.strerror
-    print(f"cellsys: {' '.join(text.split())}", file=sys.stderr)
+    say(text)
+    return code
 
 
 @contextmanager

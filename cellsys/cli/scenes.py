@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cellsys.cli.console import Json, Quiet, SceneFile, app, dump, progress_bars
+from cellsys.cli.ending import say_ending
 
 if TYPE_CHECKING:
     from cellsys.scene import Scene
@@ -52,9 +53,8 @@ def run(
                 plan, folder, order=order, workers=workers, resume=resume, model=model,
                 progress=progress,
             )  # fmt: skip
-        except KeyboardInterrupt:
-            print("cellsys: interrupted; add --resume to go on from here", file=sys.stderr)
-            sys.exit(1)
+        except KeyboardInterrupt as stop:
+            sys.exit(say_ending(stop, "add --resume to go on from here"))
     if as_json:
         dump(result.summary)
         return

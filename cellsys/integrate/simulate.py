@@ -9,8 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.sparse as sp
 
-from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
+from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.integrate.estimate import estimate_of, first_order
+from cellsys.store.memory import available_memory as available_memory
+from cellsys.store.memory import check_memory
 from cellsys.system import Block, Event, Layout, OdeSystem
 from cellsys.trajectory import ErrorEstimate, Trajectory
 from cellsys.units import real_array
@@ -23,6 +25,9 @@ class Sink(Protocol):
 
     arrays: dict[str, np.ndarray]
 
+    def check(self) -> None:
+        """Refuse to go on where the rows so far are gone; asked before every row."""
+
     def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
         """Make the rows so far durable."""
 
@@ -32,15 +37,17 @@ class Sink(Protocol):
 
 class _Memory:
     def __init__(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        need = 8 * sum(int(np.prod(s)) for s in shapes.values())
-        free = available_memory()
-        if need > free:
-            raise BudgetError(
-                f"this run needs {need / 1e9:.1f} GB of memory and {free / 1e9:.1f} GB are free; "
-                "sample less often, shorten the run, or record it without auxiliaries"
-            )
+        need = 8.0 * sum(int(np.prod(s, dtype=object)) for s in shapes.values())
+        check_memory(
+            need,
+            "this run needs",
+            "sample less often, shorten the run, or record it without auxiliaries",
+        )
         # Zeros of the system cost nothing until they are written.
         self.arrays = {name: np.zeros(shape) for name, shape in shapes.items()}
+
+    def check(self) -> None:
+        """Nothing can be gone."""
 
     def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
         """Nothing to keep: a run in memory is not resumed."""
@@ -48,18 +55,6 @@ class _Memory:
     def last_checkpoint(self) -> None:
         """None."""
         return None
-
-
-def available_memory() -> float:
-    """Bytes of memory that can be had without swapping; inf where the system does not say."""
-    try:
-        with open("/proc/meminfo", encoding="ascii") as file:
-            for line in file:
-                if line.startswith("MemAvailable:"):
-                    return 1024.0 * float(line.split()[1])
-    except OSError:
-        pass
-    return float("inf")
 
 
 def auxiliary_layout(system: OdeSystem) -> Layout:
@@ -331,6 +326,7 @@ def _march(
     for k in range(first, len(t) - 1):
         before = stepper.x.copy()
         eta, u = stepper.advance(float(t[k + 1]))
+        rows.check()
         if auxiliaries:
             _log(system, rows.arrays, k, t, before, stepper.x, eta, u)
         _sample(system, rows.arrays, k + 1, float(t[k + 1]), stepper.x)
@@ -363,6 +359,7 @@ def _march(
 def _record_solution(
     system: OdeSystem, solution: Any, t: np.ndarray, rows: Sink, auxiliaries: bool
 ) -> tuple[dict[str, Any], tuple[Event, ...]]:
+    rows.check()
     arrays, x = rows.arrays, solution.x
     if isinstance(rows, _Memory):
         arrays["x"] = x  # no second copy

@@ -18,13 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from cellsys.errors import BudgetError, IntegrationError, ParameterError
+from cellsys.errors import IntegrationError, ParameterError
 from cellsys.integrate.estimate import estimate_by, estimate_of
-from cellsys.integrate.simulate import available_memory, check_times, simulate
+from cellsys.integrate.simulate import check_times, simulate
 from cellsys.loop.loop_system import model_error
 from cellsys.population.headings import commands, sensed, turn
 from cellsys.population.propagators import Propagators
 from cellsys.population.system import coupled_system, initial, rest_offset
+from cellsys.store.memory import check_memory
 from cellsys.system import Block, Layout
 from cellsys.trajectory import ErrorEstimate, Trajectory
 
@@ -43,11 +44,7 @@ def run(
     z, p = initial(cells, z0, p0)
     width = K * (m + (3 if loop is not None else 0))
     need = 8.0 * len(times) * (width + (6 * K if loop is not None else 0))
-    if need > available_memory():
-        raise BudgetError(
-            f"{len(times)} samples of {K} cells need {need / 1e9:.1f} GB of memory; sample less "
-            "often"
-        )
+    check_memory(need, f"{len(times)} samples of {K} cells need", "sample less often")
 
     def march(
         integrator: Any, times: np.ndarray, progress: Any = None

@@ -13,9 +13,9 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from cellsys.errors import BudgetError, ParameterError
-from cellsys.integrate.simulate import available_memory
 from cellsys.population.headings import commands, rates, sensed
 from cellsys.population.propagators import Propagators
+from cellsys.store.memory import check_memory
 from cellsys.system import Block, Layout, OdeSystem
 
 
@@ -134,12 +134,11 @@ def initial(cells: Any, z0: Any, p0: Any) -> tuple[np.ndarray, np.ndarray]:
     K, m = cells.n_cells, cells.order
     if z0 is None:
         z0 = cells.model.z_start if cells.model.z_start is not None else np.zeros(m)
-    need, free = 8.0 * K * (m + 3), available_memory()
-    if need > free:
-        raise BudgetError(
-            f"the states of {K} cells need {need / 1e9:.3g} GB and {free / 1e9:.3g} GB are free; "
-            "simulate fewer (poles and stability take any number)"
-        )
+    check_memory(
+        8.0 * K * (m + 3),
+        f"the states of {K} cells need",
+        "simulate fewer (poles and stability take any number)",
+    )
     z = np.array(np.broadcast_to(np.asarray(z0, dtype=float), (K, m)))
     if p0 is None:
         theta = np.zeros(K) if cells.headings is None else cells.headings

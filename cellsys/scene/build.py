@@ -6,20 +6,18 @@ import dataclasses
 
 import numpy as np
 
-from cellsys.errors import BudgetError
-from cellsys.integrate.simulate import available_memory
-from cellsys.mechanics.crawler import CrawlerSystem
+from cellsys.mechanics.crawler import CrawlerSystem, build_crawlers
 from cellsys.mechanics.effects.protocol import CellBody, Effect
-from cellsys.mechanics.geometry.disc import DENSITY, Disc, disc
-from cellsys.mechanics.geometry.membrane import NODES, sphere
+from cellsys.mechanics.geometry.disc import Disc, disc
+from cellsys.mechanics.geometry.membrane import sphere
 from cellsys.mechanics.spreading import CellSpec, SpreadingSystem, build_spreading
-from cellsys.scene.chain import ChainScene, build_chain
+from cellsys.scene.chain import ChainScene
+from cellsys.scene.memory import check_scene_memory
+from cellsys.scene.memory import matrix_nodes as matrix_nodes
 from cellsys.scene.registry import EFFECTS
 from cellsys.scene.scene import MatrixScene, Scene
 
 START_GAP = 0.05  # um between the lowest point of a cell and the top of the matrix
-_BYTES_PER_MEMBRANE_NODE = 12_000.0  # equations, tangents, one state, measured at 150 cells
-_BYTES_PER_NODE = 30_000.0  # fibres, assembly, factors and one state, measured at 2000 nodes
 
 
 def build(scene: Scene) -> SpreadingSystem | CrawlerSystem:
@@ -30,16 +28,11 @@ def build(scene: Scene) -> SpreadingSystem | CrawlerSystem:
     Raises
     ------
     BudgetError
-        When the matrix alone, or the cells alone, would not fit into memory.
+        When the scene would not fit into memory.
     """
+    check_scene_memory(scene, run=False)
     if isinstance(scene.matrix, ChainScene):
-        return build_chain(scene.matrix, scene.cells)
-    need, free = _BYTES_PER_MEMBRANE_NODE * NODES * len(scene.cells), available_memory()
-    if need > free:
-        raise BudgetError(
-            f"{len(scene.cells)} cells of {NODES} nodes need about {need / 1e9:.1f} GB and "
-            f"{free / 1e9:.1f} GB are free; take fewer, or couple reduced ones (cs.couple)"
-        )
+        return build_crawlers(scene.cells, scene.matrix)
     matrix = _matrix(scene.matrix, scene.seed) if scene.matrix is not None else None
     effects = {n: e for n, e in _ordered(scene.effects) if e.acts_on != "cell"}
     cells = []
@@ -63,21 +56,7 @@ def _ordered(effects: dict[str, Effect]) -> list[tuple[str, Effect]]:
     return sorted(effects.items(), key=lambda item: EFFECTS.place(item[0]))
 
 
-def matrix_nodes(spec: MatrixScene) -> int:
-    """Number of matrix nodes a scene asks for."""
-    if spec.nodes is not None:
-        return spec.nodes
-    return round(DENSITY * np.pi * (0.5 * spec.diameter) ** 2 * spec.thickness)
-
-
 def _matrix(spec: MatrixScene, seed: int) -> Disc:
-    nodes = min(matrix_nodes(spec), 10**30)  # more are no doubles
-    need, free = _BYTES_PER_NODE * nodes, available_memory()
-    if need > free:
-        raise BudgetError(
-            f"a matrix of {nodes} nodes needs about {need / 1e9:.1f} GB and "
-            f"{free / 1e9:.1f} GB are free; make the disc smaller or set matrix.nodes"
-        )
     built = disc(
         0.5 * spec.diameter,
         spec.modulus,

@@ -15,11 +15,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, create_model
 
-from cellsys.errors import BudgetError, ParameterError, SceneError
+from cellsys.errors import ParameterError, SceneError
 from cellsys.integrate.scipy_methods import LSODA
-from cellsys.integrate.simulate import available_memory
 from cellsys.mechanics.commands import Commands
-from cellsys.mechanics.crawler import Crawler, CrawlerSystem, build_crawlers, check_places
+from cellsys.mechanics.crawler import Crawler, check_places
 from cellsys.mechanics.effects.protocol import Effect
 from cellsys.mechanics.geometry.chain import Chain
 from cellsys.scene.tables import Angle, Count, Extends, Table, Time, amount
@@ -27,8 +26,6 @@ from cellsys.scene.tables import Angle, Count, Extends, Table, Time, amount
 # Switch times within 1e-7 s of a reference at 1e-12. LSODA changes to BDF by itself where a small
 # drag of the attached nodes makes the chain stiff, so that one method serves every chain.
 METHOD = LSODA(rtol=1e-10, atol=1e-12)
-
-_BYTES_PER_NODE = 300.0  # states and W_eta while it is assembled, measured at 1e6 nodes
 
 _CHAIN = {"spacing": "um", "stiffness": "pN", "stiffening": "1", "drag": "pN s/um"}
 _CRAWLER = {
@@ -142,20 +139,3 @@ def check_chain(
                 f"{type(cell).__name__}"
             )
     check_places(cells, matrix)
-
-
-def build_chain(matrix: ChainScene, cells: tuple[Crawler, ...]) -> CrawlerSystem:
-    """The crawlers on their chain.
-
-    Raises
-    ------
-    BudgetError
-        When the chain alone would not fit into memory.
-    """
-    need, free = _BYTES_PER_NODE * matrix.nodes, available_memory()
-    if need > free:
-        raise BudgetError(
-            f"a chain of {matrix.nodes} nodes needs about {need / 1e9:.1f} GB and "
-            f"{free / 1e9:.1f} GB are free; make the chain shorter"
-        )
-    return build_crawlers(cells, matrix)

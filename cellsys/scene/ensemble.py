@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing import get_context
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cellsys.errors import BudgetError, FileFormatError, ParameterError
+from cellsys.errors import (
+    BudgetError,
+    DamagedRunWarning,
+    FileFormatError,
+    ForeignRunWarning,
+)
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.simulate import first_samples, record_shapes, simulate, trajectory_of
 from cellsys.mechanics.contact import touching, until_contact
 from cellsys.scene.build import build
 from cellsys.scene.chain import METHOD, ChainScene
+from cellsys.scene.executors import executor_of, gather
+from cellsys.scene.memory import check_mapping, check_scene_memory, memory_need
 from cellsys.scene.parse import scene_from_plain
 from cellsys.scene.scene import Scene
+from cellsys.scene.workers import Workers, end_with_parent, one_thread
+from cellsys.store.processor import processor_kind
 from cellsys.store.runs import RunReader, RunWriter
 from cellsys.system import Event, OdeSystem
 from cellsys.trajectory import Trajectory
@@ -44,42 +48,123 @@ def run_scene(
         What to run.
     folder : path, optional
         Parent of the cached runs; the run's own folder is named by the scene's fingerprint. A
-        complete run is read back, a partial one is continued, bit for bit.
+        complete run is read back, one that is damaged is made again (`DamagedRunWarning`). A
+        partial one is continued, bit for bit on one kind of processor and BLAS, with which the
+        fingerprint changes.
+
+    Raises
+    ------
+    BudgetError
+        When memory or disk do not hold the run.
+    ParameterError
+        When another process is writing this run.
+    LostRunError
+        When the folder is removed while it is written.
     """
-    system = build(scene)
-    chain = isinstance(scene.matrix, ChainScene)
-    method = METHOD if chain else LinearlyImplicit(step=scene.step)
-    until = touching(system) if scene.until == "contact" else None
     if folder is None:
-        run = simulate(
+        system = build(scene)
+        run = _simulated(scene, system, None, progress)
+        return run if scene.until is None else until_contact(run)
+    target = Path(folder) / run_name(scene)
+    if not _kept([target]):
+        _make(scene, target, progress=progress)
+    return _read(scene, target, progress)
+
+
+def run_name(scene: Scene) -> str:
+    """Name of the folder of a scene's run in a cache."""
+    return scene.fingerprint()[:20]
+
+
+def _simulated(
+    scene: Scene,
+    system: OdeSystem,
+    sink: RunWriter | None,
+    progress: Callable[[float], None] | None = None,
+) -> Trajectory:
+    check_scene_memory(scene)
+    with one_thread():
+        return simulate(
             system,
-            method,
+            METHOD if isinstance(scene.matrix, ChainScene) else LinearlyImplicit(step=scene.step),
             scene.times,
             seed=scene.seed,
+            sink=sink,
             progress=progress,
             label=scene.name,
-            until=until,
+            until=touching(system) if scene.until == "contact" else None,
         )
-        return run if until is None else until_contact(run)
-    target = Path(folder) / scene.fingerprint()[:20]
-    if not (target / "run.json").exists():
-        writer = RunWriter(
-            target,
-            record_shapes(system, scene.times, True),
-            {"scene": scene.canonical(), "fingerprint": scene.fingerprint()},
-        )
-        run = simulate(
-            system,
-            method,
-            scene.times,
-            seed=scene.seed,
-            sink=writer,
-            progress=progress,
-            until=until,
-        )
-        writer.finish(
-            {"statistics": _numbers(run.statistics), "events": [list(e) for e in run.events]}
-        )
+
+
+def _make(
+    scene: Scene,
+    target: Path,
+    *,
+    patience: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Write the run of a scene into a folder of the cache."""
+    check_mapping([scene])
+    system = build(scene)
+    made = _finished(target)
+    writer = RunWriter(
+        target,
+        record_shapes(system, scene.times, True),
+        {
+            "scene": scene.canonical(),
+            "fingerprint": scene.fingerprint(),
+            "processor": processor_kind(),
+        },
+        patience=patience,
+    )
+    if _finished(target) != made:
+        writer.discard()  # by somebody else, while this one waited
+        return
+    run = _simulated(scene, system, writer, progress)
+    writer.finish({"statistics": _numbers(run.statistics), "events": [list(e) for e in run.events]})
+
+
+def _finished(target: Path) -> int | None:
+    """When the run in a folder was finished, ns; None where there is none."""
+    try:
+        return (target / "run.json").stat().st_mtime_ns
+    except OSError:
+        return None
+
+
+def _kept(targets: Iterable[Path]) -> set[Path]:
+    """The folders that hold a complete run as it was written; of damaged ones a warning."""
+    whole = set()
+    for target in targets:
+        if not target.exists() and not target.is_symlink():
+            continue
+        try:
+            RunReader(target).verify()
+        except FileFormatError as error:
+            _warn_damaged(error, target)
+            continue
+        whole.add(target)
+    return whole
+
+
+def _warn_damaged(error: FileFormatError, target: Path) -> None:
+    warnings.warn(
+        f"{error}; the run is made again in {str(target.parent)!r}",
+        DamagedRunWarning,
+        stacklevel=4,
+    )
+
+
+def _read(
+    scene: Scene, target: Path, progress: Callable[[float], None] | None = None
+) -> Trajectory:
+    """The run in a folder whose checksums hold; made again where it is not the scene's."""
+    system = build(scene)
+    try:
+        return _trajectory(RunReader(target), system, scene)
+    except FileFormatError as error:
+        _warn_damaged(error, target)
+    _make(scene, target, progress=progress)
     return _trajectory(RunReader(target), system, scene)
 
 
@@ -129,6 +214,7 @@ def read_run(folder: str | Path) -> Trajectory:
         When the folder does not hold a complete run.
     """
     reader = RunReader(folder)
+    reader.verify()
     try:
         scene = scene_from_plain(reader.header["scene"])
         return _trajectory(reader, build(scene), scene)
@@ -138,32 +224,19 @@ def read_run(folder: str | Path) -> Trajectory:
         raise FileFormatError(f"{str(folder)!r} does not hold a run of a scene: {error}") from error
 
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+def _run_into(scene: Scene, target: str) -> None:
+    """Make a run as a task of an executor: whoever has begun it already is waited for.
 
-
-@contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Processes started within use one thread each for linear algebra; a user's setting stays.
-
-    The libraries read the environment when they are loaded, which in a new process is before any
-    code of ours. Threads of several workers on the same cores only wait for each other.
+    A scheduler gives a run away a second time when it has lost sight of the first worker.
     """
-    absent = [name for name in THREADS if name not in os.environ]
-    os.environ.update(dict.fromkeys(absent, "1"))
-    try:
-        yield
-    finally:
-        for name in absent:
-            os.environ.pop(name, None)
+    if not _kept([Path(target)]):
+        _make(scene, Path(target), patience=float("inf"))
 
 
-def _die_on_interrupt() -> None:
-    """Ctrl-C ends a worker at once; what it wrote can be resumed."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
-def _run_into(scene: Scene, folder: str) -> None:
-    run_scene(scene, folder)
+def _run_in_child(scene: Scene, target: str) -> None:
+    """`_run_into` in a process of a pool, which is not to go on without its parent."""
+    end_with_parent()
+    _run_into(scene, target)
 
 
 def run_ensemble(
@@ -176,6 +249,9 @@ def run_ensemble(
 ) -> list[Trajectory]:
     """Run many scenes in several processes; the same numbers whatever their number.
 
+    The same bits, on one kind of processor and BLAS (`processor_kind`); runs that a cluster made
+    on another kind are told by a `ForeignRunWarning`.
+
     Parameters
     ----------
     scenes : sequence of Scene
@@ -184,7 +260,8 @@ def run_ensemble(
         Run cache; trajectories come back memory-mapped from it. On a cluster every worker must
         see it under this name.
     workers : int
-        Processes on this machine; not used with an `executor`.
+        Processes on this machine, of one thread each; not used with an `executor`. They end when
+        this process ends, whatever way.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Where to run instead. It stays open.
     progress : callable, optional
@@ -194,68 +271,54 @@ def run_ensemble(
     ------
     ParameterError
         Something that takes no work was given as executor.
+    BudgetError
+        When the runs do not fit into memory side by side, or a worker was killed.
+    ExecutorError
+        When the executor's scheduler or workers are gone.
     """
-    submit = None if executor is None else _submit_of(executor)
+    pool = None if executor is None else executor_of(executor)
+    targets = {s.fingerprint(): Path(folder) / run_name(s) for s in scenes}
     pending = {s.fingerprint(): s for s in scenes}
-    missing = [
-        s for key, s in pending.items() if not (Path(folder) / key[:20] / "run.json").exists()
-    ]
+    whole = _kept(targets.values())
+    missing = [(s, targets[key]) for key, s in pending.items() if targets[key] not in whole]
     done = len(pending) - len(missing)
 
-    def told(more: int) -> None:
+    def told(steps: Iterable[object]) -> None:
         nonlocal done
-        done += more
-        if progress is not None:
-            progress(done, len(pending))
+        for _ in steps:
+            done += 1
+            if progress is not None:
+                progress(done, len(pending))
 
-    told(0)
-    if submit is not None:
-        _gather({submit(_run_into, s, str(folder)) for s in missing}, told)
+    if progress is not None:
+        progress(done, len(pending))
+    check_mapping(pending.values())
+    if pool is not None:
+        task = _run_in_child if isinstance(pool, ProcessPoolExecutor) else _run_into
+        told(gather(lambda: {pool.submit(task, s, str(target)) for s, target in missing}, folder))
     elif workers <= 1 or len(missing) <= 1:
-        for scene in missing:
-            run_scene(scene, folder)
-            told(1)
+        told(_make(scene, target) for scene, target in missing)
     else:
-        pool = ProcessPoolExecutor(
-            min(workers, len(missing)), get_context("spawn"), initializer=_die_on_interrupt
+        count = min(workers, len(missing))
+        largest = max((s for s, _ in missing), key=lambda s: memory_need(s).resident)
+        check_scene_memory(largest, count)
+        with Workers(count) as crew:
+            told(crew.run(_run_into, [(s, str(target)) for s, target in missing]))
+    runs = {key: _read(s, targets[key]) for key, s in pending.items()}
+    _tell_foreign(targets.values())
+    return [runs[s.fingerprint()] for s in scenes]
+
+
+def _tell_foreign(targets: Iterable[Path]) -> None:
+    """Warn of runs that another kind of processor made."""
+    here = processor_kind()
+    kinds = [RunReader(target).header.get("processor", here) for target in targets]
+    foreign = sorted({str(kind) for kind in kinds if kind != here})
+    if foreign:
+        warnings.warn(
+            f"{sum(kind != here for kind in kinds)} of {len(kinds)} runs were made on another kind "
+            f"of processor ({'; '.join(foreign)}; here {here}): they may differ in the last digits "
+            "from what is computed here",
+            ForeignRunWarning,
+            stacklevel=3,
         )
-        try:
-            with one_thread_each():  # a process starts when work is submitted
-                waiting = {pool.submit(_run_into, s, str(folder)) for s in missing}
-            _gather(waiting, told)
-        finally:
-            # After a failure or an interrupt the runs not yet begun are not begun.
-            pool.shutdown(cancel_futures=True)
-    return [run_scene(s, folder) for s in scenes]
-
-
-def _submit_of(executor: Any) -> Callable[..., Future]:
-    """`submit` of an executor; a dask client brings one that gives ordinary futures."""
-    if hasattr(executor, "get_executor"):
-        executor = executor.get_executor()
-    if not isinstance(executor, Executor):
-        raise ParameterError(
-            "executor must be a concurrent.futures.Executor or a dask.distributed.Client, got "
-            f"{type(executor).__name__}"
-        )
-    return executor.submit
-
-
-def _gather(waiting: set[Future], told: Callable[[int], None]) -> None:
-    """Wait for all; the first failure is raised and what has not begun is cancelled."""
-    try:
-        while waiting:
-            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in finished:
-                future.result()
-            told(len(finished))
-    except BrokenProcessPool:
-        # Ctrl-C reaches the workers first: our own interrupt surfaces while we wait.
-        time.sleep(1.0)
-        raise BudgetError(
-            "a worker process ended before its run was done, killed or out of memory; use fewer "
-            "workers, and resume to go on from the last checkpoint"
-        ) from None
-    finally:
-        for future in waiting:
-            future.cancel()

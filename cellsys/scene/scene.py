@@ -272,14 +272,17 @@ class Scene:
         return table
 
     def fingerprint(self) -> str:
-        """Hash of `canonical` and of the cellsys version: the key of the run cache.
+        """Hash of `canonical`, cellsys version and kind of processor: the key of the run cache.
 
-        The name and the training plan do not enter: they do not change a run.
+        The name and the training plan do not enter: they do not change a run. The kind of
+        processor and BLAS does, in the last digits (`processor_kind`).
         """
         table = self.canonical()
         for key in ("name", "training"):
             table.pop(key)
-        return fingerprint(table, _version())
+        from cellsys.store.processor import processor_kind
+
+        return fingerprint(table, _version(), processor_kind())
 
 
 def _version() -> str:

@@ -2,8 +2,8 @@
 
 A run is written into ``NAME.partial`` row by row and renamed to ``NAME`` when it is complete,
 so a folder called NAME always holds a whole run. Checkpoints inside the partial folder let an
-interrupted run go on. A lock inside it, which the system drops when its process dies, keeps a
-second process out; the room on the disk is reserved before the first row.
+interrupted run go on. A `Hold` keeps a second writer out; the room on the disk is reserved before
+the first row. A complete run has a checksum of every array.
 """
 
 from __future__ import annotations
@@ -13,61 +13,29 @@ import json
 import mmap
 import os
 import shutil
-import weakref
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cellsys.errors import BudgetError, FileFormatError, ParameterError
+from cellsys.errors import BudgetError, FileFormatError, LostRunError
 from cellsys.store.archive import READ_ERRORS, load_archive, save_archive
 from cellsys.store.atomic import write_json
-
-try:
-    import fcntl
-except ImportError:  # a system without POSIX locks: two writers are not told apart
-    fcntl = None  # type: ignore[assignment]
+from cellsys.store.hold import OWN, Hold
+from cellsys.store.memory import size_text
 
 _SCHEMA = 1
-_LOCK = "lock"
+_BLOCK = 1 << 22  # bytes of a file read at a time
 
 
 def _flush(array: np.ndarray) -> None:
+    """Write a mapped array to its file, and let go of its pages: they are read from there."""
     if isinstance(array, np.memmap):
         array.flush()
-
-
-def _hold(partial: Path) -> int:
-    """Descriptor of the locked lock file of a partial run.
-
-    Raises
-    ------
-    ParameterError
-        When another process holds it.
-    """
-    while True:
-        partial.mkdir(parents=True, exist_ok=True)
-        descriptor = -1
-        try:
-            descriptor = os.open(partial / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-            if fcntl is not None:
-                fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # Another process may have finished, and renamed the folder, in between.
-            if os.path.samestat(os.fstat(descriptor), os.stat(partial / _LOCK)):
-                return descriptor
-            os.close(descriptor)
-        except OSError as error:
-            if descriptor >= 0:
-                os.close(descriptor)
-            if isinstance(error, FileNotFoundError):
-                continue
-            if error.errno not in (errno.EACCES, errno.EAGAIN):
-                raise
-            raise ParameterError(
-                f"run {partial.stem!r} is being written by another process into "
-                f"{str(partial.parent)!r}; wait for it, or give another output folder"
-            ) from error
+        if hasattr(mmap, "MADV_DONTNEED") and isinstance(array.base, mmap.mmap):
+            array.base.madvise(mmap.MADV_DONTNEED)
 
 
 def discard_partial(partial: str | Path) -> None:
@@ -78,11 +46,20 @@ def discard_partial(partial: str | Path) -> None:
     ParameterError
         When another process is still writing it.
     """
-    descriptor = _hold(Path(partial))
+    hold = Hold(Path(partial))
     try:
         shutil.rmtree(partial)
     finally:
-        os.close(descriptor)
+        hold.release()
+
+
+def _checksum(path: Path) -> int:
+    """CRC-32 of a file: finds damage, not malice."""
+    value = 0
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK):
+            value = zlib.crc32(block, value)
+    return value
 
 
 def _reserve(path: Path) -> None:
@@ -108,6 +85,8 @@ class RunWriter:
         Shape of every float64 array, samples first.
     header : mapping
         JSON metadata stored with the run; a partial run with another header is discarded.
+    patience : float, optional
+        Seconds to wait for another writer of this run to finish, die or be cut off.
 
     Raises
     ------
@@ -118,7 +97,12 @@ class RunWriter:
     """
 
     def __init__(
-        self, folder: str | Path, shapes: Mapping[str, tuple[int, ...]], header: Mapping[str, Any]
+        self,
+        folder: str | Path,
+        shapes: Mapping[str, tuple[int, ...]],
+        header: Mapping[str, Any],
+        *,
+        patience: float | None = None,
     ) -> None:
         self.folder = Path(folder)
         self.partial = self.folder.with_name(self.folder.name + ".partial")
@@ -126,8 +110,7 @@ class RunWriter:
         self.shapes = {k: tuple(int(i) for i in v) for k, v in shapes.items()}
         if not self.partial.exists():
             self._check_room()
-        # Let go of when the writer is done, dropped, or its process ends.
-        self._unlock = weakref.finalize(self, os.close, _hold(self.partial))
+        self._hold = Hold(self.partial, patience)
         self.resumed = self._open_existing()
         if not self.resumed:
             self._create()
@@ -158,13 +141,13 @@ class RunWriter:
         free = shutil.disk_usage(place).free
         if need > free:
             raise BudgetError(
-                f"this run needs {need / 1e9:.1f} GB on disk and {free / 1e9:.1f} GB are free; "
+                f"this run needs {size_text(need)} on disk and {size_text(free)} are free; "
                 "sample less often or shorten the run"
             )
 
     def _create(self) -> None:
         for left in self.partial.iterdir():
-            if left.name != _LOCK:
+            if left.name not in OWN:
                 left.unlink()
         self._check_room()
         try:
@@ -186,8 +169,18 @@ class RunWriter:
                 "sample less often"
             ) from error
 
+    def check(self) -> None:
+        """Refuse to go on where the folder was removed, or taken over, since the last row.
+
+        Raises
+        ------
+        LostRunError
+        """
+        self._hold.check()
+
     def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
         """Make all rows written so far durable and remember how to go on from here."""
+        self.check()
         for array in self.arrays.values():
             _flush(array)
         save_archive(self.partial / "checkpoint.npz", "checkpoint", 1, arrays, metadata)
@@ -200,18 +193,42 @@ class RunWriter:
             return None
 
     def finish(self, metadata: Mapping[str, Any]) -> Path:
-        """Close the arrays and give the folder its final name."""
+        """Close the arrays and give the folder its final name.
+
+        Raises
+        ------
+        LostRunError
+            When the folder was removed, or taken over by another process.
+        """
+        self.check()
         for array in self.arrays.values():
             _flush(array)
         self.arrays = {}
-        (self.partial / "checkpoint.npz").unlink(missing_ok=True)
-        (self.partial / _LOCK).unlink()
-        write_json(self.partial / "run.json", {**self._describe(), "metadata": dict(metadata)})
-        if self.folder.exists():
-            shutil.rmtree(self.folder)
-        os.replace(self.partial, self.folder)
-        self._unlock()
+        try:
+            sums = {name: _checksum(self.partial / f"{name}.npy") for name in self.shapes}
+            write_json(
+                self.partial / "run.json",
+                {**self._describe(), "metadata": dict(metadata), "checksums": sums},
+            )
+        except FileNotFoundError as error:
+            self.check()
+            raise LostRunError(
+                f"a file of the run {self.partial.name!r} was removed while it was written "
+                f"({error.filename!r}); run the scene again"
+            ) from error
+        self._hold.rename(self.folder)
+        # Only now: until it has its name, an interrupted run goes on from its last checkpoint.
+        wanted = {"header.json", "run.json", *(f"{name}.npy" for name in self.shapes)}
+        for path in self.folder.iterdir():
+            if path.name not in wanted:
+                path.unlink(missing_ok=True)
         return self.folder
+
+    def discard(self) -> None:
+        """Remove what was written, and let go of the folder."""
+        self.arrays = {}
+        shutil.rmtree(self.partial, ignore_errors=True)
+        self._hold.release()
 
 
 class RunReader:
@@ -228,6 +245,8 @@ class RunReader:
                 )
             self.header: dict[str, Any] = description["header"]
             self.metadata: dict[str, Any] = description["metadata"]
+            sums = description.get("checksums", {})  # runs of older versions have none
+            self.checksums = {str(name): int(value) for name, value in sums.items()}
             shapes = {k: tuple(v) for k, v in description["shapes"].items()}
             if any(Path(name).name != name for name in shapes):
                 raise FileFormatError(
@@ -240,13 +259,41 @@ class RunReader:
                 }
         except FileFormatError:
             raise
-        except (*READ_ERRORS, TypeError, AttributeError) as error:
+        except (*READ_ERRORS, TypeError, AttributeError, OverflowError) as error:
+            if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
+                raise BudgetError(
+                    f"no memory to map the run {self.folder.name!r} of "
+                    f"{str(self.folder.parent)!r}; raise `ulimit -v`, or read fewer runs at a time"
+                ) from error
             raise FileFormatError(
                 f"{str(self.folder)!r} is not a complete cellsys run: {error}"
             ) from error
         for name, shape in shapes.items():
             if self.arrays[name].shape != shape:
                 raise FileFormatError(f"array {name!r} of run {self.folder.name!r} is damaged")
+
+    def verify(self) -> None:
+        """Read every array once and compare its checksum; about 2 GB a second.
+
+        Raises
+        ------
+        FileFormatError
+            Naming the array that is not as it was written.
+        """
+        for name in self.arrays:
+            if name not in self.checksums:
+                continue
+            try:
+                found = _checksum(self.folder / f"{name}.npy")
+            except OSError as error:
+                raise FileFormatError(
+                    f"array {name!r} of run {self.folder.name!r} cannot be read: {error}"
+                ) from error
+            if found != self.checksums[name]:
+                raise FileFormatError(
+                    f"array {name!r} of run {self.folder.name!r} is damaged: it is not what was "
+                    "written"
+                )
 
 
 def _mapped(array: Any) -> np.memmap | None:
@@ -270,9 +317,15 @@ def read_rows(array: Any, start: int, stop: int) -> np.ndarray:
     width, size = owner.shape[1], owner.dtype.itemsize
     skipped, column = divmod((array.ctypes.data - owner.ctypes.data) // size, width)
     rows = min(stop, len(array)) - start
-    with open(owner.filename, "rb") as file:
-        offset = owner.offset + (skipped + start) * width * size
-        block = np.fromfile(file, owner.dtype, rows * width, offset=offset)
+    try:
+        with open(owner.filename, "rb") as file:
+            offset = owner.offset + (skipped + start) * width * size
+            block = np.fromfile(file, owner.dtype, rows * width, offset=offset)
+    except FileNotFoundError as error:
+        raise LostRunError(
+            f"the file {str(owner.filename)!r} of a run was removed while the run was in use; run "
+            "its scene again"
+        ) from error
     return block.reshape(rows, width)[:, column : column + array.shape[1]]
 
 

@@ -1,16 +1,16 @@
 """Runs of scenes: cached, resumable, the same numbers in one process or two."""
 
 import os
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
 from cellsys.errors import FileFormatError
 from cellsys.scene import Scene, run_ensemble, run_scene
 from cellsys.scene import ensemble as room
 from cellsys.scene.ensemble import read_run
+from cellsys.scene.workers import THREADS, Workers, one_thread
 from tests.mechanics.scenes import table
 
 
@@ -67,15 +67,23 @@ def test_one_or_two_workers_give_the_same_numbers(tmp_path):
     assert len(list((tmp_path / "one").iterdir())) == 2
 
 
+def blas_threads():
+    return sorted({lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas"})
+
+
 def test_workers_use_one_thread_each_unless_told_otherwise(monkeypatch):
-    ours, theirs = room.THREADS[:2]
-    monkeypatch.delenv(ours, raising=False)
-    monkeypatch.setenv(theirs, "3")
-    with (
-        ProcessPoolExecutor(1, get_context("spawn")) as pool,
-        room.one_thread_each(),
-    ):
-        seen = [pool.submit(os.getenv, name).result() for name in (ours, theirs)]
-    assert seen == ["1", "3"]
-    assert ours not in os.environ
-    assert os.environ[theirs] == "3"
+    for name in THREADS:
+        monkeypatch.delenv(name, raising=False)
+    with Workers(1) as workers:
+        assert list(workers.run(blas_threads, [()])) == [[1]]
+    before = blas_threads()
+    with one_thread():  # as a run in this process
+        assert blas_threads() == [1]
+    assert blas_threads() == before
+    monkeypatch.setenv(THREADS[1], "2")
+    with Workers(1) as workers:
+        told = next(iter(workers.run(blas_threads, [()])))
+    # OpenBLAS starts no more threads than there are processors
+    assert told == [min(2, os.cpu_count())]
+    with one_thread():
+        assert blas_threads() == before

@@ -1,0 +1,89 @@
+"""Executors of others, a pool or a cluster, as places where runs are made."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+from cellsys.errors import BudgetError, ExecutorError, ParameterError
+
+
+def executor_of(given: Any) -> Executor:
+    """The executor, or that of a dask client, which gives ordinary futures.
+
+    Raises
+    ------
+    ParameterError
+        Something that takes no work.
+    """
+    if hasattr(given, "get_executor"):
+        given = given.get_executor()
+    if not isinstance(given, Executor):
+        raise ParameterError(
+            "executor must be a concurrent.futures.Executor or a dask.distributed.Client, got "
+            f"{type(given).__name__}"
+        )
+    return given
+
+
+def gather(begin: Callable[[], set[Future]], folder: str | Path) -> Iterator[object]:
+    """Begin work and wait for all of it: results as they come; after a failure the rest is
+    cancelled.
+
+    Parameters
+    ----------
+    begin : callable
+        Submits the work.
+    folder : path
+        Where finished runs are, for messages.
+
+    Raises
+    ------
+    ExecutorError
+        When the scheduler or the workers are gone.
+    BudgetError
+        When a process of a pool was killed.
+    """
+    waiting: set[Future] = set()
+    try:
+        waiting = begin()
+        while waiting:
+            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in finished:
+                yield future.result()
+    except BrokenProcessPool:
+        # Ctrl-C reaches the workers first: our own interrupt surfaces while we wait.
+        time.sleep(1.0)
+        raise BudgetError(
+            "a worker process ended before its run was done, killed or out of memory; use fewer "
+            "workers, and resume to go on from the last checkpoint"
+        ) from None
+    except _gone() as error:
+        raise ExecutorError(
+            f"the executor ended before all runs were done ({_said(error)}): its scheduler or its "
+            f"workers are gone or do not answer. Finished runs are kept in {str(folder)!r}; start "
+            "it again, and run the same scenes to go on from there"
+        ) from error
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+def _gone() -> tuple[type[BaseException], ...]:
+    """What a lost executor raises; dask's own where it is loaded."""
+    found: tuple[type[BaseException], ...] = (CancelledError, TimeoutError, ConnectionError)
+    distributed = sys.modules.get("distributed")
+    if distributed is not None:
+        found += (distributed.CancelledError, distributed.KilledWorker)
+        found += (distributed.comm.CommClosedError,)
+    return found
+
+
+def _said(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text[:200]}" if text else type(error).__name__
