@@ -25,9 +25,6 @@ class Sink(Protocol):
 
     arrays: dict[str, np.ndarray]
 
-    def check(self) -> None:
-        """Refuse to go on where the rows so far are gone; asked before every row."""
-
     def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
         """Make the rows so far durable."""
 
@@ -45,9 +42,6 @@ class _Memory:
         )
         # Zeros of the system cost nothing until they are written.
         self.arrays = {name: np.zeros(shape) for name, shape in shapes.items()}
-
-    def check(self) -> None:
-        """Nothing can be gone."""
 
     def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
         """Nothing to keep: a run in memory is not resumed."""
@@ -123,7 +117,8 @@ def simulate(
     x0 : array (n,), optional
         Initial state; default the system's own.
     seed : int or SeedSequence
-        Of everything random in the run; the same seed gives the same run, bit for bit.
+        Of everything random in the run; the same seed gives the same run, bit for bit on one
+        kind of processor and BLAS, to the last digits on another.
     auxiliaries : bool
         Whether eta and u are recorded (averages over each sampling interval).
     sink : Sink, optional
@@ -326,7 +321,6 @@ def _march(
     for k in range(first, len(t) - 1):
         before = stepper.x.copy()
         eta, u = stepper.advance(float(t[k + 1]))
-        rows.check()
         if auxiliaries:
             _log(system, rows.arrays, k, t, before, stepper.x, eta, u)
         _sample(system, rows.arrays, k + 1, float(t[k + 1]), stepper.x)
@@ -359,7 +353,6 @@ def _march(
 def _record_solution(
     system: OdeSystem, solution: Any, t: np.ndarray, rows: Sink, auxiliaries: bool
 ) -> tuple[dict[str, Any], tuple[Event, ...]]:
-    rows.check()
     arrays, x = rows.arrays, solution.x
     if isinstance(rows, _Memory):
         arrays["x"] = x  # no second copy

@@ -48,7 +48,8 @@ class Stepper:
 
     `advance(t1)` moves from `self.t` to t1 and returns the averages of eta and u over the
     interval (zeros from a fixed-step method when `averages` is false). `memory` and `restore`
-    carry what a later interval needs, so that a run resumed at a sample continues bit for bit.
+    carry what a later interval needs, so that a run resumed at a sample continues bit for bit (on
+    the kind of processor and BLAS that began it).
     """
 
     def __init__(

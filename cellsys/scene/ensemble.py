@@ -62,6 +62,7 @@ def run_scene(
         When the folder is removed while it is written.
     """
     if folder is None:
+        check_scene_memory(scene)
         system = build(scene)
         run = _simulated(scene, system, None, progress)
         return run if scene.until is None else until_contact(run)
@@ -82,7 +83,12 @@ def _simulated(
     sink: RunWriter | None,
     progress: Callable[[float], None] | None = None,
 ) -> Trajectory:
-    check_scene_memory(scene)
+    def told(share: float) -> None:
+        if sink is not None:
+            sink.check()  # at every sample: rows of a folder that was removed are nobody's
+        if progress is not None:
+            progress(share)
+
     with one_thread():
         return simulate(
             system,
@@ -90,7 +96,7 @@ def _simulated(
             scene.times,
             seed=scene.seed,
             sink=sink,
-            progress=progress,
+            progress=told,
             label=scene.name,
             until=touching(system) if scene.until == "contact" else None,
         )
@@ -105,6 +111,7 @@ def _make(
 ) -> None:
     """Write the run of a scene into a folder of the cache."""
     check_mapping([scene])
+    check_scene_memory(scene)
     system = build(scene)
     made = _finished(target)
     writer = RunWriter(
@@ -295,7 +302,7 @@ def run_ensemble(
     check_mapping(pending.values())
     if pool is not None:
         task = _run_in_child if isinstance(pool, ProcessPoolExecutor) else _run_into
-        told(gather(lambda: {pool.submit(task, s, str(target)) for s, target in missing}, folder))
+        told(gather(pool.submit, [(task, s, str(target)) for s, target in missing], folder))
     elif workers <= 1 or len(missing) <= 1:
         told(_make(scene, target) for scene, target in missing)
     else:

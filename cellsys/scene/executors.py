@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
 from cellsys.errors import BudgetError, ExecutorError, ParameterError
+
+_OF_DASK = (
+    ("distributed", "CancelledError"),
+    ("distributed", "KilledWorker"),
+    ("distributed.client", "ClosedClientError"),
+    ("distributed.client", "FutureCancelledError"),
+    ("distributed.comm.core", "CommClosedError"),
+)
 
 
 def executor_of(given: Any) -> Executor:
@@ -31,27 +39,30 @@ def executor_of(given: Any) -> Executor:
     return given
 
 
-def gather(begin: Callable[[], set[Future]], folder: str | Path) -> Iterator[object]:
-    """Begin work and wait for all of it: results as they come; after a failure the rest is
-    cancelled.
+def gather(
+    submit: Callable[..., Future], tasks: Iterable[tuple], folder: str | Path
+) -> Iterator[object]:
+    """Submit tasks and wait for all: results as they come; after a failure the rest is cancelled.
 
     Parameters
     ----------
-    begin : callable
-        Submits the work.
+    submit : callable
+        Of an executor.
+    tasks : iterable of tuple
+        Function and arguments of each.
     folder : path
         Where finished runs are, for messages.
 
     Raises
     ------
     ExecutorError
-        When the scheduler or the workers are gone.
+        When the scheduler or the workers are gone, or take no work.
     BudgetError
         When a process of a pool was killed.
     """
     waiting: set[Future] = set()
     try:
-        waiting = begin()
+        _submit(submit, tasks, waiting)
         while waiting:
             finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             for future in finished:
@@ -68,19 +79,32 @@ def gather(begin: Callable[[], set[Future]], folder: str | Path) -> Iterator[obj
             f"the executor ended before all runs were done ({_said(error)}): its scheduler or its "
             f"workers are gone or do not answer. Finished runs are kept in {str(folder)!r}; start "
             "it again, and run the same scenes to go on from there"
-        ) from error
+        ) from None
     finally:
         for future in waiting:
             future.cancel()
 
 
+def _submit(submit: Callable[..., Future], tasks: Iterable[tuple], waiting: set[Future]) -> None:
+    """Fill the set with the futures of the tasks."""
+    try:
+        for task in tasks:
+            waiting.add(submit(*task))
+    except BrokenProcessPool:
+        raise
+    except RuntimeError as error:
+        raise ExecutorError(
+            f"the executor takes no work ({_said(error)}): it was closed; open another"
+        ) from None
+
+
 def _gone() -> tuple[type[BaseException], ...]:
     """What a lost executor raises; dask's own where it is loaded."""
     found: tuple[type[BaseException], ...] = (CancelledError, TimeoutError, ConnectionError)
-    distributed = sys.modules.get("distributed")
-    if distributed is not None:
-        found += (distributed.CancelledError, distributed.KilledWorker)
-        found += (distributed.comm.CommClosedError,)
+    for module, name in _OF_DASK:
+        error = getattr(sys.modules.get(module), name, None)
+        if isinstance(error, type) and issubclass(error, BaseException):
+            found += (error,)
     return found
 
 

@@ -28,8 +28,6 @@ _NODE_ADDRESSES = 61e3  # the solver of the network's modulus asks for its fill 
 _CELL = 0.45e6  # equations, tangents and states of one membrane
 _REACH = 720.0  # of a cell with adhesions, per node of the matrix: a nodal force of its own
 _ADHESIONS = ("focal_adhesion", "stochastic_adhesion")
-# Numbers in a row of a record: of a cell (states, forces of its laws), of a node per matrix law.
-_CELL_STATES, _CELL_FORCES = 6 * NODES, 19 * NODES
 _MOST = 10**30  # no float holds every integer
 
 
@@ -92,10 +90,16 @@ def _record(scene: Scene) -> float:
         return 8.0 * len(scene.times) * 4.0 * float(min(scene.matrix.nodes, _MOST))
     cells = float(len(scene.cells))
     nodes = 0.0 if scene.matrix is None else float(min(matrix_nodes(scene.matrix), _MOST))
-    states = 3.0 * nodes + _CELL_STATES * cells
-    laws = sum(effect.acts_on == "matrix" for effect in scene.effects.values())
-    forces = 3.0 * nodes * laws + _CELL_FORCES * cells
-    if any(name in scene.effects for name in _ADHESIONS):
+    laws = {
+        place: sum(effect.acts_on == place for effect in scene.effects.values())
+        for place in ("matrix", "cell")
+    }
+    # Every law has a force on every node of its own, an adhesion one on every node of the matrix
+    # besides, and states for its bonds.
+    adhere = any(name in scene.effects for name in _ADHESIONS)
+    states = 3.0 * nodes + 3.0 * NODES * cells * (2.0 if adhere else 1.0)
+    forces = 3.0 * nodes * laws["matrix"] + 3.0 * NODES * cells * laws["cell"]
+    if adhere:
         forces += 3.0 * nodes * cells
     return 8.0 * len(scene.times) * (3.0 * states + forces)
 

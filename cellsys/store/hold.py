@@ -152,8 +152,10 @@ def _attempt(partial: Path) -> int | None:
     descriptor = -1
     try:
         descriptor = os.open(partial / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-        if _locked(descriptor) is None and _age(partial) < LONGEST:
+        if _locked(descriptor) is None and (age := _age(partial)) < float("inf"):
             os.close(descriptor)
+            if age >= LONGEST:
+                _take_over(partial)
             return None
         # Another process may have finished, and renamed the folder, in between.
         if not _same(descriptor, partial / LOCK):
@@ -256,11 +258,13 @@ def _take_over(partial: Path) -> None:
     aside = partial.with_name(f"{partial.name}.{uuid.uuid4().hex[:8]}")
     fresh = aside.with_name(f"{aside.name}.copy")
     try:
-        if claim is None or not _same(claim, partial / CLAIM):
+        if claim is not None and not _same(claim, partial / CLAIM):
             return
         if not (_ours(partial) or LONGEST <= _age(partial) < float("inf")):
             return  # somebody else has it already
         os.replace(partial, aside)
+    except FileNotFoundError:
+        return
     finally:
         if claim is not None:
             os.close(claim)

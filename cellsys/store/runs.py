@@ -247,6 +247,8 @@ class RunReader:
             self.metadata: dict[str, Any] = description["metadata"]
             sums = description.get("checksums", {})  # runs of older versions have none
             self.checksums = {str(name): int(value) for name, value in sums.items()}
+            if not isinstance(self.header, dict):
+                raise FileFormatError(f"run {self.folder.name!r} has a header that is no table")
             shapes = {k: tuple(v) for k, v in description["shapes"].items()}
             if any(Path(name).name != name for name in shapes):
                 raise FileFormatError(

@@ -135,7 +135,8 @@ def study(
     workers : int
         Processes for the full-order runs; the numbers do not depend on it.
     resume : bool
-        Continue interrupted runs (the result is bitwise the same); False starts them again.
+        Continue interrupted runs (the result is bitwise the same: on another kind of processor
+        or BLAS they are started again); False starts them again.
     model : EquivariantModel or path, optional
         Of one cell, run beside a scene of several.
     progress : callable, optional
