@@ -231,6 +231,10 @@ class Trajectory(Drawable):
         rounding of the states, 4 eps |x|. The model's part is not in it. What is smaller than this
         is not to be told from zero.
         """
+        return float(np.max(self.errors_of(name), initial=0.0))
+
+    def errors_of(self, name: str) -> np.ndarray:
+        """`error_of` each entry of a state block, of each node (n,) where it holds places."""
         block = self.states[name]
         rounding = 4.0 * np.finfo(float).eps * np.abs(self.block(name)).max(axis=0, initial=0.0)
         error = rounding
@@ -238,7 +242,7 @@ class Trajectory(Drawable):
             error = np.maximum(error, self.states.view(self.error.absolute, name))
         if len(block.shape) == 2 and block.shape[1] == 3:
             error = np.linalg.norm(error, axis=1)
-        return float(np.max(error, initial=0.0))
+        return error
 
     def __getstate__(self) -> dict[str, Any]:
         # An estimator holds the system, whose laws need not be picklable.

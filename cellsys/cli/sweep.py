@@ -27,7 +27,7 @@ def sweep(
     quiet: Quiet = False,
 ) -> None:
     """Run a scene at every combination of values; finished runs are kept and not run again."""
-    from cellsys.observe import read_outs
+    from cellsys.observe import read_out_errors, read_outs
     from cellsys.scene import run_ensemble
     from cellsys.scene.variants import read_setting, variants
     from cellsys.store.atomic import write_text
@@ -50,9 +50,19 @@ def sweep(
         dump(rows)
         return
     head = [name for name in rows[0] if name != "run"]
-    shown = [[v if isinstance(v := r[h], str) else f"{v:.4g}" for h in head] for r in rows]
+    shown = [
+        [_shown(row[h], errors.get(h, -1.0)) for h in head]
+        for row, errors in zip(rows, map(read_out_errors, runs), strict=True)
+    ]
     print_table(f"{scene.stem} at {len(rows)} settings", head, shown)
     print(f"table: {folder / 'sweep.csv'}; runs: {folder / 'runs'}")
+
+
+def _shown(value: str | float, error: float) -> str:
+    """A cell of the table; a read-out below its own error is not to be told from zero."""
+    if isinstance(value, str):
+        return value
+    return f"{value:.4g}" if value > error else f"below {error:.2g}"
 
 
 def _csv(rows: list[dict[str, Any]]) -> str:

@@ -9,6 +9,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
+from cellsys.figures.sheet import not_drawn
+
 
 def crawler_run(run: Any, ax: Any = None) -> Any:
     """Lead and trail of every cell of a `CrawlRun`, with a tick at every switch."""
@@ -38,8 +40,11 @@ def crawler_run(run: Any, ax: Any = None) -> Any:
     return ax
 
 
-def chain_displacement(run: Any, ax: Any = None) -> Any:
-    """Displacement of every node of a `CrawlRun`'s chain against time, um."""
+def chain_displacement(run: Any, ax: Any = None, *, error: float = 0.0) -> Any:
+    """Displacement of every node of a `CrawlRun`'s chain against time, um.
+
+    One that nowhere exceeds its own `error` (um, `Trajectory.error_of`) is not drawn.
+    """
     if ax is None:
         ax = plt.subplots(layout="constrained")[1]
     ax.set(xlabel="time (s)", ylabel="node at rest (um)")
@@ -47,7 +52,9 @@ def chain_displacement(run: Any, ax: Any = None) -> Any:
         return ax
     u, t = run.trajectory.block("chain.displacement"), run.trajectory.t
     every = -(-len(t) // 2000)  # more columns than pixels only take time
-    top = float(np.abs(u).max()) or 1.0
+    top = float(np.abs(u).max())
+    if not top > error:
+        return not_drawn(ax, error)
     drawn = ax.pcolormesh(
         t[::every], run.system.chain.rest, u[::every].T, cmap="RdBu_r", vmin=-top, vmax=top
     )

@@ -25,6 +25,13 @@ def sheet(
     return figure, figure.subplots(rows, columns, height_ratios=heights, sharex=sharex)
 
 
+def not_drawn(ax: Any, error: float) -> Any:
+    """Axes that say why they hold no field: it is nowhere beyond its own error, um."""
+    text = f"not drawn: no node moved\nby more than the error of {error:.2g} um"
+    ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes)
+    return ax
+
+
 def save_png(figure: Figure, path: str | Path) -> Path:
     """Write a figure as PNG, atomically; returns the path."""
     target = Path(path)

@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
 
+from cellsys.figures.sheet import not_drawn
 from cellsys.trajectory import cell_names
 
 CELL, FIBRE = "#c0504d", "0.75"
@@ -100,9 +101,7 @@ def displacement_field(
     ax.set(xlabel="x (um)", ylabel="y (um)", xlim=(-reach, reach), ylim=(-reach, reach))
     ax.set_aspect("equal")
     if not size.max(initial=0.0) > error:
-        text = f"not drawn: no node moved\nby more than the error of {error:.2g} um"
-        ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes)
-        return ax
+        return not_drawn(ax, error)
     dots = ax.scatter(x[:, 0], x[:, 1], c=size, s=18, cmap="viridis")
     ax.quiver(x[:, 0], x[:, 1], v[:, 0], v[:, 1], angles="xy", color="k", width=0.0025)
     ax.figure.colorbar(dots, ax=ax, label="horizontal displacement (um)", shrink=0.85)

@@ -13,7 +13,7 @@ from cellsys.observe.pairs import (
     pair_regions,
     speed_against_spacing,
 )
-from cellsys.observe.read_outs import read_outs
+from cellsys.observe.read_outs import read_out_errors, read_outs
 from cellsys.observe.spreading import (
     centre_height,
     contact_radius,
@@ -40,6 +40,7 @@ __all__ = [
     "observe_pair",
     "pair_of",
     "pair_regions",
+    "read_out_errors",
     "read_outs",
     "speed_against_spacing",
     "summary_of_run",

@@ -41,3 +41,24 @@ def read_outs(run: Trajectory) -> dict[str, float]:
     if run.p is not None:
         out["heading_change_deg"] = float(np.abs(heading_change_deg(run.p)).mean())
     return out
+
+
+def read_out_errors(run: Trajectory) -> dict[str, float]:
+    """How far each of `read_outs` may be off by the integrator and rounding, in its unit.
+
+    From `Trajectory.error_of`, which an integrator with a tolerance finds by solving again: a
+    centre is off by no more than a node, a difference of two nodes by twice as much. Read-outs
+    without an entry have no such bound here.
+    """
+    out: dict[str, float] = {}
+    cells = [run.error_of(f"{name}.position") for name in cell_names(run.states)]
+    if cells:
+        worst = max(cells)
+        out |= {"crawl_um": worst, "centre_height_end_um": worst}
+        out |= {"height_end_um": 2.0 * worst, "contact_radius_end_um": 2.0 * worst}
+    if "matrix.displacement" in run.states:
+        matrix = run.error_of("matrix.displacement")
+        out |= dict.fromkeys(
+            ("matrix_displacement_max_um", "matrix_displacement_rms_end_um"), matrix
+        )
+    return out

@@ -25,9 +25,9 @@ from cellsys.observe import (
 )
 from cellsys.scene import Scene, build, run_ensemble, run_scene
 from cellsys.store import write_json, write_text
-from cellsys.study.fields import draw_displacement, matrix_row, texts
+from cellsys.study.fields import draw_displacement
 from cellsys.study.files import plain, save_run
-from cellsys.study.measure import read_out_name
+from cellsys.study.measure import matrix_row, read_out_name, texts
 from cellsys.study.reduced_cells import ReducedCells, check_model, reduced_cells
 from cellsys.study.report import _STYLE, _g, _image, _table
 from cellsys.trajectory import Trajectory, cell_names

@@ -6,6 +6,7 @@ import html
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -82,11 +83,15 @@ def study_crawler(
     }
     save_run(run, folder / "run.npz", {"switch_times": crawl.switches()})
     say("report", 0.2)
+    error = run.error_of("chain.displacement")
     figures = {}
-    for draw in (crawler_run, chain_displacement):
+    for name, draw in (
+        ("crawler_run", crawler_run),
+        ("chain_displacement", partial(chain_displacement, error=error)),
+    ):
         figure, ax = sheet((9, 5))
         draw(crawl, ax)
-        figures[draw.__name__] = save_png(figure, folder / "figures" / f"{draw.__name__}.png")
+        figures[name] = save_png(figure, folder / "figures" / f"{name}.png")
     result = CrawlerStudy(scene, crawl, summary, folder)
     _write_report(result, figures)
     say("report", 1.0)

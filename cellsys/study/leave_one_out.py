@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellsys.accuracy.measures import motion
 from cellsys.errors import IntegrationError, SceneError
-from cellsys.observe.read_outs import read_outs
+from cellsys.observe.read_outs import read_out_errors, read_outs
 from cellsys.scene.build import build
 from cellsys.scene.chain import ChainScene
 from cellsys.scene.ensemble import run_scene
@@ -35,9 +36,10 @@ class Worth:
     saved : float
         Share of the run's time that was saved without it, nan when that run failed.
     motion : float
-        |x without - x with| / |x with - x0| over all node positions at the end, nan likewise.
+        |x without - x with| / |x with - x0| over all node positions and samples (the measure
+        "motion"), nan likewise.
     changes : dict
-        Relative change of every read-out.
+        Relative change of every read-out, nan where it is below its own error.
     note : str
         Why there is no run without it, or how it failed.
     """
@@ -121,9 +123,9 @@ def _worth(scene: Scene, name: str, whole: Trajectory, took: float, share: float
         run, time_without = _timed(rest)
     except IntegrationError as error:
         return Worth(name, also, share, nan, nan, {}, f"without it the run fails: {error}")
-    before, after = read_outs(whole), read_outs(run)
+    before, after, errors = read_outs(whole), read_outs(run), read_out_errors(whole)
     changes = {
-        key: (after[key] - value) / value if value else nan
+        key: (after[key] - value) / value if value > errors.get(key, 0.0) else nan
         for key, value in before.items()
         if key in after
     }
@@ -132,10 +134,8 @@ def _worth(scene: Scene, name: str, whole: Trajectory, took: float, share: float
 
 
 def _motion(whole: Trajectory, run: Trajectory) -> float:
-    moved, apart = 0.0, 0.0
-    for block in whole.states:
-        if block.kind == "position" and block.name in run.states:
-            x = whole.block(block.name)
-            moved += float(((x[-1] - x[0]) ** 2).sum())
-            apart += float(((run.block(block.name)[-1] - x[-1]) ** 2).sum())
-    return float(np.sqrt(apart / moved)) if moved > 0 else 0.0
+    names = [b.name for b in whole.states if b.kind == "position" and b.name in run.states]
+    if not names:
+        return 0.0
+    return motion(*(np.column_stack([r.block(n).reshape(len(r), -1) for n in names])
+                    for r in (run, whole)))  # fmt: skip

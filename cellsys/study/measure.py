@@ -1,10 +1,10 @@
-"""What the study measures on its models: errors against order, and their price."""
+"""What the study measures: errors of its models against order, their price, read-outs as text."""
 
 from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,6 +14,15 @@ from cellsys.errors import IntegrationError
 from cellsys.reduction import LatentModel, Snapshots, reduce_orders
 from cellsys.response import Margins
 from cellsys.study.coordinates import Coordinates
+from cellsys.trajectory import Trajectory
+
+MATRIX = "matrix.displacement"
+ERRORS = {  # read-outs that are 0 where nothing moves, and the entry that holds their error
+    "crawl_um": "position_error_um",
+    "displacement_max_um": "matrix_error_um",
+    "displacement_rms_end_um": "matrix_error_um",
+    "matrix_displacement_max_um": "matrix_error_um",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,3 +143,28 @@ def read_out_name(key: str) -> str:
         if key.endswith(ending):
             return f"{key.removesuffix(ending).replace('_', ' ')}, {unit}"
     return key.replace("_", " ")
+
+
+def matrix_row(run: Trajectory) -> dict[str, float]:
+    """Greatest displacement of any node over the run and when, rms at the end, error; or nothing.
+
+    um and s. The error is `Trajectory.error_of`: what is below it is not to be told from zero.
+    """
+    if MATRIX not in run.states:
+        return {}
+    u = np.linalg.norm(run.block(MATRIX), axis=2)
+    return {
+        "displacement_max_um": float(u.max()),
+        "displacement_max_at_s": float(run.t[u.max(axis=1).argmax()]),
+        "displacement_rms_end_um": float(np.sqrt(np.mean(u[-1] ** 2))),
+        "matrix_error_um": run.error_of(MATRIX),
+    }
+
+
+def texts(row: Mapping[str, float]) -> dict[str, str]:
+    """The values of a row as text; what is below its own error (`ERRORS`) says so instead."""
+    out = {key: short_number(value, 4) for key, value in row.items()}
+    for key, error in ERRORS.items():
+        if key in row and error in row and not row[key] > row[error]:
+            out[key] = f"below its error, {row[error]:.2g}"
+    return out

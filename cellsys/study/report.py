@@ -26,7 +26,7 @@ from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.response.certainty import side
 from cellsys.store import write_text
 from cellsys.study.fields import draw_displacement
-from cellsys.study.measure import read_out_name
+from cellsys.study.measure import read_out_name, texts
 from cellsys.study.measure import short_number as _g
 
 _STYLE = """
@@ -126,7 +126,7 @@ def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
         _image(figures["cell_and_matrix"], "cell and matrix, before and after"),
         _table(
             ("read-out", "value"),
-            [(read_out_name(k), _g(v)) for k, v in result.magnitudes.items()],
+            [(read_out_name(k), v) for k, v in texts(result.magnitudes).items()],
         ),
         _image(figures["displacement_field"], "displacement field of the matrix"),
         "<p class='note'>Share of the rates that the stepping leaves over: "

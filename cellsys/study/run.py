@@ -31,7 +31,7 @@ from cellsys.study.coordinates import learn_coordinates
 from cellsys.study.equivariant import EquivariantStudy, study_equivariant, sweep_row
 from cellsys.study.files import plain, save_run
 from cellsys.study.floors import floor_scenes, measured_floors
-from cellsys.study.measure import OrderSweep, margin_table, read_out_name, sweep_orders
+from cellsys.study.measure import OrderSweep, margin_table, read_out_name, sweep_orders, texts
 from cellsys.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -86,7 +86,8 @@ class StudyResult:
     def report(self) -> str:
         """The study in words and tables, for a terminal."""
         lines = [str(self.run), ""]
-        lines += [f"  {read_out_name(k):34s} {v:.3g}" for k, v in self.magnitudes.items()]
+        told = texts(self.magnitudes).items()
+        lines += [f"  {read_out_name(k):34s} {v}" for k, v in told]
         lines += ["", f"poles of the reduced model (PCR, m = {self.model.order}), 1/s:"]
         if self.summary["why_lower_order"]:
             lines.append(f"  ({self.summary['why_lower_order']})")
@@ -216,7 +217,10 @@ def study(
     say("equivariant", 1.0)
 
     system = build(scene)
-    magnitudes = summary_of_run(main, system.matrix.position)
+    magnitudes = summary_of_run(main, system.matrix.position) | {
+        "position_error_um": main.error_of("cell1.position"),
+        "matrix_error_um": main.error_of("matrix.displacement"),
+    }
     whole = plant_of(plant)
     plant_report = stability(whole, certainty=plant.certainty(discrete=whole.dt > 0))
     trust = f"PCR: {plant.card.verdict}"

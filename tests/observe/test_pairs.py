@@ -22,7 +22,7 @@ from cellsys.observe import (
 )
 from cellsys.scene.ensemble import read_run
 from cellsys.system import Block, Layout
-from cellsys.trajectory import Trajectory, cell_names
+from cellsys.trajectory import ErrorEstimate, Trajectory, cell_names
 from tests.study.scenes import TINY
 
 T = np.arange(0.0, 50.0, 5.0)
@@ -225,6 +225,16 @@ def test_attenuation_length_of_an_exponential():
     # rings of 2 um: rms over a ring is not the value at its middle, by (width/length)^2/24
     assert found.length == pytest.approx(9.0, rel=0.03)
     assert found.residual < 0.05
+    # rings within the error of the run are left out, and without three there is no length
+    known = dataclasses.replace(run(centres, u), estimator=lambda: ErrorEstimate(
+        np.full(3 * (189 + len(X)), 0.3 * np.exp(-15.5 / 9.0)) / np.sqrt(3.0), np.ones(1), "given"
+    ))  # fmt: skip
+    less = attenuation_length(known, X)
+    assert less.radius.max() < 15.5 < found.radius.max()
+    assert less.length == pytest.approx(9.0, rel=0.03)
+    lost = dataclasses.replace(run(centres, 1e-3 * u), estimator=known.estimator)
+    with pytest.raises(DataError, match="move by more than the error of the run at t = 45 s"):
+        attenuation_length(lost, X)
     grows = np.zeros_like(u)
     grows[:, :, 0] = np.exp(r / 9.0)
     with pytest.raises(DataError, match="does not fall"):

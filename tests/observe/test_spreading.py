@@ -1,5 +1,6 @@
 """Read-outs of a run: node speeds, contact radius, crawl, heights, headings, magnitudes."""
 
+import dataclasses
 import tomllib
 
 import numpy as np
@@ -15,11 +16,12 @@ from cellsys.observe import (
     heading_deg,
     heading_error_deg,
     node_speed,
+    read_out_errors,
     read_outs,
     summary_of_run,
 )
 from cellsys.system import Block, Layout
-from cellsys.trajectory import Trajectory
+from cellsys.trajectory import ErrorEstimate, Trajectory
 from tests.study.scenes import tiny
 
 
@@ -131,6 +133,27 @@ def test_turns_count_in_full():
     turned = np.exp(1j * np.radians([[30.0, -359.0, 179.0, 721.0], [0.0, 0.0, -179.0, 0.0]]))
     a, b = (np.column_stack([v.real, v.imag, 0 * v.real]) for v in turned)
     assert heading_error_deg(a, b) == pytest.approx([30.0, 1.0, -2.0, 1.0])
+
+
+def test_read_outs_have_the_errors_of_the_places_they_are_made_of():
+    """Nodes shifted at random within their errors move no read-out by more than its own."""
+    rng = np.random.default_rng(4)
+    x = rng.normal(size=(5, 30, 3)).cumsum(axis=0) * [1.0, 1.0, 0.1] + [0, 0, 1.0]
+    u = 0.2 * rng.normal(size=(5, 20, 3)).cumsum(axis=0)
+    run = run_of(x, u)
+    absolute = np.concatenate([np.full(90, 0.02), np.full(60, 0.003)])
+    run = dataclasses.replace(run, estimator=lambda: ErrorEstimate(absolute, absolute, "given"))
+    errors, told = read_out_errors(run), read_outs(run)
+    assert errors["crawl_um"] == pytest.approx(np.sqrt(3) * 0.02)
+    assert errors["matrix_displacement_max_um"] == pytest.approx(np.sqrt(3) * 0.003)
+    assert set(errors) <= set(told)
+    for _ in range(20):
+        shift = absolute * rng.uniform(-1, 1, run.x.shape)
+        shift[0] = 0.0  # the start is given
+        moved = read_outs(dataclasses.replace(run, x=run.x + shift))
+        for name, error in errors.items():
+            if name != "contact_radius_end_um":  # which nodes are in contact may change
+                assert abs(moved[name] - told[name]) <= error
 
 
 def test_the_matrix_is_read_over_the_run_and_at_the_end():

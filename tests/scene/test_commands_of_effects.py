@@ -122,6 +122,7 @@ def test_sweep_runs_once_and_writes_a_table(call, scene_file, tmp_path):
     code, out, _ = call(*arguments[:-1], "-o", "elsewhere")
     assert code == 0
     assert "table: elsewhere" in out
+    assert "below" in out  # the crawl of a membrane that is not pulled
 
 
 def test_a_wrong_sweep_runs_nothing(call, scene_file, tmp_path):

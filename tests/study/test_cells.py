@@ -16,6 +16,7 @@ from cellsys.errors import ParameterError
 from cellsys.figures import save_png
 from cellsys.observe import alone_scenes, observe_neighbours
 from cellsys.scene import Scene, run_scene
+from cellsys.scene.variants import without
 from cellsys.store import load_archive
 from cellsys.study import cells as _cells  # noqa: F401  loaded, so that it can be watched
 from cellsys.study.leave_one_out import leave_one_out
@@ -186,8 +187,8 @@ def test_a_field_below_its_own_error_is_not_drawn(monkeypatch, tmp_path):
     fine = cs.run_scene(dataclasses.replace(result.scene, step=0.1, duration=60.0))
     both = [r.block("matrix.displacement")[: len(fine)] for r in (fine, result.run)]
     off = np.linalg.norm(both[0] - both[1], axis=2).max()
-    assert u[-1].max() < row["displacement_error_um"]
-    assert off < row["displacement_error_um"] < 20 * off
+    assert u[-1].max() < row["matrix_error_um"]
+    assert off < row["matrix_error_um"] < 20 * off
     assert greatest.get_title() == f"greatest, t = {row['displacement_max_at_s']:g} s"
     assert len(greatest.collections) == 2  # dots and arrows
     assert end.get_title() == "at the end, t = 400 s"
@@ -198,6 +199,22 @@ def test_a_field_below_its_own_error_is_not_drawn(monkeypatch, tmp_path):
     assert float(told.split()[-1]) == pytest.approx(row["displacement_max_um"], rel=1e-3)
     assert "below its error, " in text
     assert "below its error, " in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_leaving_an_effect_out_is_judged_over_the_run():
+    """At the end of this one nothing is left with or without the foundation."""
+    let_go = dataclasses.replace(scene(RELAXED), sample=10.0)
+    whole = {w.effect: w for w in leave_one_out(let_go)}["foundation"]
+    run, bare = run_scene(let_go), run_scene(without(let_go, "foundation")[0])
+    u, v = (r.block("matrix.displacement") for r in (run, bare))
+    assert whole.motion == pytest.approx(np.linalg.norm(v - u) / np.linalg.norm(u))
+    naive = np.linalg.norm(v[-1] - u[-1]) / np.linalg.norm(u[-1])
+    assert naive > 3 * whole.motion  # what is left of both, over what is left of one
+    peaks = [np.linalg.norm(w, axis=2).max() for w in (u, v)]
+    changed = whole.changes["matrix_displacement_max_um"]
+    assert changed == pytest.approx(peaks[1] / peaks[0] - 1)
+    assert np.isnan(whole.changes["matrix_displacement_rms_end_um"])  # below its error
+    assert f"the matrix by {100 * abs(changed):.0f} %" in str(whole)
 
 
 def test_a_field_that_is_greatest_at_the_end_is_drawn_once(monkeypatch, tmp_path):
