@@ -11,6 +11,7 @@ _FILES = {
     "Data": "test_4_data",
     "Roll-out": "test_5_rollout",
     "Mechanics": "test_6_mechanics",
+    "Gaps": "test_6_gaps",
     "Switching": "test_7_switching",
     "Integrators": "test_8_integrators",
     "Process": "test_9_process",
