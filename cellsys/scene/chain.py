@@ -21,7 +21,7 @@ from cellsys.mechanics.commands import Commands
 from cellsys.mechanics.crawler import Crawler, check_places
 from cellsys.mechanics.effects.protocol import Effect
 from cellsys.mechanics.geometry.chain import Chain
-from cellsys.scene.tables import Angle, Count, Extends, Table, Time, amount
+from cellsys.scene.tables import Angle, Count, Extends, Sample, Table, Time, amount
 
 # Switch times within 1e-7 s of a reference at 1e-12. LSODA changes to BDF by itself where a small
 # drag of the attached nodes makes the chain stiff, so that one method serves every chain.
@@ -85,7 +85,7 @@ class ChainSceneTable(Table):
     extends: Extends = None
     name: Annotated[str, Field(min_length=1)]
     duration: Time
-    sample: Time = 0.1
+    sample: Sample = 0.1
     matrix: _ChainTable  # type: ignore[valid-type]
     cells: list[_CrawlerTable]  # type: ignore[valid-type]
     effects: dict[str, Any] = Field(default_factory=dict)

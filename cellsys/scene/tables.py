@@ -37,6 +37,10 @@ def amount(unit: str) -> Any:
 
 
 _Length, Time, Angle, _Number = amount("um"), amount("s"), amount("rad"), amount("1")
+Sample = Annotated[
+    Time,
+    Field(description="number with unit, such as '1 s', between samples; divides the duration"),
+]
 _Modulus, _PerLength = amount("pN/um^2"), amount("1/um")
 # bool is an int to Python; a count must not be one.
 Count = Annotated[int, Field(strict=True)]
@@ -142,7 +146,7 @@ class _TrainingTable(Table):
     runs: Count = 8
     held_out: Count = 2
     duration: Time = 1500.0
-    sample: Time = 5.0
+    sample: Sample = 5.0
     commands: Literal["constant", "turning"] = "constant"
     loaded: Count = 0
     scatter: _Length = 0.0
@@ -154,7 +158,7 @@ class DiscSceneTable(Table):
     extends: Extends = None
     name: Annotated[str, Field(min_length=1)]
     duration: Time
-    sample: Time = 5.0
+    sample: Sample = 5.0
     step: Time = 0.5
     until: Annotated[
         Literal["contact"] | None, Field(description="ends the run where two cells touch")

@@ -251,6 +251,13 @@ def test_what_is_no_closed_surface_is_refused():
         contour([[0, 0], [1, 0], [0, 0]])
     with pytest.raises(DimensionError, match=r"\(n, 2\)"):
         contour(np.zeros((4, 3)))
+    with pytest.raises(DataError, match="sides 0 and 2 of the contour cross"):
+        contour([[0, 0], [2, 2], [2, 0], [0, 2]])
+    rng = np.random.default_rng(0)
+    with pytest.raises(DataError, match="cross; give its corners in order"):
+        contour(rng.permutation(ellipse(5.0, 2.0, 0.3, [0, 0])))
+    star = ellipse(5.0, 5.0, 0.0, [0, 0]) * (1 + 0.5 * np.sin(9 * ANGLE))[:, None]
+    assert gap(contour(star), contour(star[::-1] + [20.0, 0.0])) > 3
     with pytest.raises(DataError, match="1 of 31 nodes lie inside"):
         convex_triangles(np.concatenate([shape.position, np.zeros((1, 3))]))
     with pytest.raises(DataError, match="one plane"):

@@ -98,7 +98,12 @@ def contour(points: np.ndarray) -> Surface:
     Parameters
     ----------
     points : (n, 2)
-        Corners in order, um; the last may repeat the first. The sides must not cross.
+        Corners in order, um; the last may repeat the first.
+
+    Raises
+    ------
+    DimensionError, DataError
+        Other shapes, NaN, fewer than three corners, or sides that cross: corners out of order.
     """
     x = _places(points, 2)
     if len(x) > 1 and np.array_equal(x[0], x[-1]):
@@ -109,6 +114,12 @@ def contour(points: np.ndarray) -> Surface:
     k = np.arange(n)
     side = np.roll(x, -1, axis=0) - x
     length = np.linalg.norm(side, axis=1, keepdims=True)
+    crossing = _sides_that_cross(x, side, float(length.max()))
+    if crossing is not None:
+        raise DataError(
+            f"sides {crossing[0]} and {crossing[1]} of the contour cross; give its corners in "
+            "order, once around"
+        )
     out = np.column_stack([side[:, 1], -side[:, 0]]) / np.where(length > 0, length, 1.0)
     about = x - x.mean(axis=0)
     ahead = np.roll(about, -1, axis=0)
@@ -123,6 +134,24 @@ def contour(points: np.ndarray) -> Surface:
         face,
         face + np.roll(face, 1, axis=0),
     )
+
+
+def _sides_that_cross(
+    x: np.ndarray, side: np.ndarray, longest: float
+) -> tuple[int, int] | None:
+    """The first two sides of a contour that go through each other, if any do."""
+    near = cKDTree(x + 0.5 * side).query_pairs(longest, output_type="ndarray")
+    (i, j), (a, b) = near.T, x[near.T]
+    u, v, w = side[i], side[j], b - a
+
+    def cross(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
+
+    # The ends of each on both sides of the other, not on it: neighbours share a corner.
+    apart = cross(u, w) * cross(u, w + v) < 0
+    apart &= cross(v, -w) * cross(v, u - w) < 0
+    found = np.flatnonzero(apart & (np.abs(i - j) > 1) & (np.abs(i - j) < len(x) - 1))
+    return (int(i[found[0]]), int(j[found[0]])) if found.size else None
 
 
 def _places(x: np.ndarray, width: int) -> np.ndarray:
