@@ -313,3 +313,30 @@ def test_a_study_in_a_thread_of_a_script_leaves_no_workers(name, tmp_path, start
     process.send_signal(getattr(signal, f"SIG{name}"))
     process.wait(timeout=20)
     assert gone_within(5.0, workers)
+
+
+POOL_OF_ANOTHER = """
+import multiprocessing, sys, tomllib
+from concurrent.futures import ProcessPoolExecutor
+import cellsys as cs
+
+if __name__ == "__main__":
+    table = tomllib.load(open("s.toml", "rb"))
+    scenes = [cs.Scene.parse({**table, "seed": k}) for k in (1, 2)]
+    with ProcessPoolExecutor(2, multiprocessing.get_context(sys.argv[1])) as pool:
+        cs.run_ensemble(scenes, "out/runs", executor=pool)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["fork", "spawn", "forkserver"])
+def test_runs_in_a_pool_of_the_user_end_with_its_owner_too(way, tmp_path, start):
+    """Naive: processes of a pool whose owner was killed go on, and wait for ever for more work."""
+    (tmp_path / "s.toml").write_text(LONG)
+    (tmp_path / "script.py").write_text(POOL_OF_ANOTHER)
+    process, runs = start("script.py", way, cwd=tmp_path), tmp_path / "out" / "runs"
+    wait_for(lambda: len(list(runs.glob("*.partial/checkpoint.npz"))) == 2)
+    assert len(session(process.pid)) >= 3
+    process.kill()
+    process.wait()
+    assert gone_within(5.0, session(process.pid))

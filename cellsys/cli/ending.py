@@ -50,11 +50,12 @@ class Signals:
     def __enter__(self) -> Signals:
         if threading.current_thread() is not threading.main_thread():
             return self  # only the main thread may; a signal ends the process as it always does
-        reader, writer = os.pipe()
-        os.set_blocking(writer, False)
-        self._pipe = reader, writer
-        self._wakeup = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-        threading.Thread(target=_see_to_it, args=(reader,), daemon=True).start()
+        if os.name == "posix":  # elsewhere only a socket can tell of a signal
+            reader, writer = os.pipe()
+            os.set_blocking(writer, False)
+            self._pipe = reader, writer
+            self._wakeup = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+            threading.Thread(target=_see_to_it, args=(reader,), daemon=True).start()
         for number in CODES:
             if signal.getsignal(number) not in (signal.SIG_IGN, None):
                 self._before[number] = signal.signal(number, self._tell)
@@ -71,12 +72,13 @@ class Signals:
         error: BaseException | None,
         at: TracebackType | None,
     ) -> None:
-        if self._pipe is None or self.received is not None:
+        if self.received is not None:
             return  # told to end: no further signal is to disturb that
         for number, handler in self._before.items():
             signal.signal(number, handler)
-        signal.set_wakeup_fd(self._wakeup)
-        os.close(self._pipe[1])  # its reader then ends too
+        if self._pipe is not None:
+            signal.set_wakeup_fd(self._wakeup)
+            os.close(self._pipe[1])  # its reader then ends too
 
 
 def _see_to_it(reader: int) -> None:

@@ -11,6 +11,7 @@ import scipy.linalg as sla
 import scipy.sparse as sp
 
 from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
+from cellsys.store.memory import size_text
 from cellsys.units import real_array
 
 _DENSE_BYTES = 4e9
@@ -142,6 +143,6 @@ def check_positions(positions: Any) -> np.ndarray:
 def _afford(K: int) -> None:
     if 8.0 * K * K > _DENSE_BYTES:
         raise BudgetError(
-            f"dense weights of {K} cells need {8e-9 * K * K:.0f} GB; use all-to-all coupling (any "
-            "number of cells), or weights with a cutoff, which are sparse (matrix-free route)"
+            f"dense weights of {K} cells need {size_text(8.0 * K * K)}; use all-to-all coupling "
+            "(any number of cells), or weights with a cutoff, which are sparse (matrix-free route)"
         )

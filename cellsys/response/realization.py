@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from scipy.linalg import lapack
 
 from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
+from cellsys.store.memory import size_text
 from cellsys.units import real_array, real_number
 
 DENSE_LIMIT = 4000  # states; a dense complex matrix of this size takes 256 MB
@@ -186,7 +187,7 @@ class Realization:
         n = self.n_states
         if n > limit:
             raise BudgetError(
-                f"this needs a dense {n} x {n} matrix ({n * n * 8 / 1e9:.1f} GB), above the limit "
+                f"this needs a dense {n} x {n} matrix ({size_text(8.0 * n * n)}), above the limit "
                 f"of {limit} states; frequency_response takes the sparse one, for the rest reduce "
                 "the model first"
             )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cellsys.errors import CellsysError, FileFormatError, RankError, SceneError
+from cellsys.errors import CellsysError, FileFormatError, LostRunError, RankError, SceneError
 from cellsys.loop import PolarityLaw, closed_loop
 from cellsys.observe import heading_error_deg
 from cellsys.reduction import (
@@ -87,6 +87,8 @@ def study_equivariant(
     """Learn the model (or read it from `kept`) and run its loop; without one, say why."""
     try:
         model = _learned(scene, data, test, kept)
+    except LostRunError:
+        raise  # no property of the data: the runs were removed meanwhile
     except CellsysError as error:
         return EquivariantStudy(None, None, {}, {"why_not": str(error)}, str(error))
     run, gap, loop_table = _loop(scene, model, main)

@@ -18,6 +18,7 @@ from cellsys.reduction.field.ports import (
     step_index,
 )
 from cellsys.reduction.model import LatentModel
+from cellsys.store.memory import size_text
 from cellsys.system import Block, Layout
 
 
@@ -38,7 +39,7 @@ class LinearisedField:
         if self.order > MOST_DENSE:
             raise ParameterError(
                 f"{what} of {self.order} coordinates would be a dense matrix of "
-                f"{8e-9 * self.order**2:.1f} GB (bound: {MOST_DENSE} coordinates); "
+                f"{size_text(8.0 * self.order**2)} (bound: {MOST_DENSE} coordinates); "
                 "use GalerkinField"
             )
         K = self.stiffness if at is None else self.tangent(at)
