@@ -5,6 +5,8 @@ import os
 import subprocess
 import sys
 import time
+import tomllib
+import warnings
 from pathlib import Path
 
 import pytest
@@ -260,3 +262,41 @@ def test_help_is_quick():
     for command in ("run", "reduce", "poles", "bode", "stability", "effects", "schema"):
         assert command in done.stdout
     assert best_of([sys.executable, "-m", "cellsys", "--help"], 5) < 0.8
+
+
+@pytest.mark.parametrize(
+    ("category", "module", "error"),
+    [
+        (DeprecationWarning, "cellsys.store.runs", True),
+        (UserWarning, "tests.naive", True),
+        (DeprecationWarning, "control.statesp", False),
+        (UserWarning, "matplotlib._mathtext", False),
+        (RuntimeWarning, "scipy.linalg", True),  # of numbers that we gave it
+    ],
+)
+def test_warnings_of_our_code_are_errors_and_those_of_others_are_theirs(category, module, error):
+    with warnings.catch_warnings(record=True) as told:  # the filters stay
+        try:
+            warnings.warn_explicit("said", category, "a file", 1, module=module)
+        except category:
+            assert error
+        else:
+            assert not error
+            assert len(told) <= 1
+
+
+def test_the_versions_that_are_stated_are_the_versions_that_are_tried():
+    """Every dependency states its lowest, and CI installs just these."""
+    done = subprocess.run(
+        [sys.executable, ".ci/lowest", "pytest"], cwd=ROOT, capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    pins = dict(line.split("==") for line in done.stdout.split())
+    stated = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert {f"{name}>={version}" for name, version in pins.items() if name != "pytest"} == set(
+        stated["dependencies"]
+    )
+    assert ".ci/lowest" in (ROOT / ".ci" / "run").read_text("utf-8")
+    for version in ("3.11", "3.12", "3.13"):
+        assert f"Programming Language :: Python :: {version}" in stated["classifiers"]

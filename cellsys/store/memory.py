@@ -109,8 +109,8 @@ def check_memory(need: float, what: str, cure: str, *, addresses: float = 0.0) -
     left = address_room()
     if addresses > left.bytes:
         raise BudgetError(
-            f"{what} {size_text(addresses)} of addresses, more than the {size_text(need)} of "
-            f"memory that it touches, and {size_text(left.bytes)} are free ({left.bound}); {cure}"
+            f"{what} {size_text(addresses)} of addresses and {size_text(left.bytes)} are free "
+            f"({left.bound}); {cure}"
         )
 
 
