@@ -211,7 +211,7 @@ def main(quick: bool = False, out: str | None = None) -> None:
         snapshots = data.snapshots(*small)
         kept = data.records["turning"]
         method = dataclasses.replace(base, folds=3 if quick else base.folds)
-        misses = method.left_out(kept, snapshots, top, sites_of(snapshots))
+        misses, _ = method.left_out(kept, snapshots, top, sites_of(snapshots))
         bands = conformal_bands(misses, data.step, method.folds)
         fitted = models[small, top]
         held = [residuals(fitted, r, roll_record(fitted, r)) for r in data.records["test"]]

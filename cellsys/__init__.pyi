@@ -57,6 +57,7 @@ from .loop import (
     MPol,
     Perturb,
     PolarityLaw,
+    ScheduledLoop,
     Stay,
     closed_loop,
     loop_copies,

@@ -15,7 +15,13 @@ FAST = {
     "bond_graph.py",
 }
 SCRIPTS = sorted(
-    [*(ROOT / "examples").glob("*.py"), *(ROOT / "analysis").glob("*.py")], key=lambda p: p.name
+    [
+        *(ROOT / "examples").glob("*.py"),
+        *(ROOT / "analysis").glob("*.py"),
+        *(ROOT / "analysis" / "thesis").glob("fig*.py"),
+        ROOT / "analysis" / "thesis" / "smooth_case.py",
+    ],
+    key=lambda p: p.name,
 )
 
 
