@@ -31,6 +31,7 @@ from .errors import (
     RepresentationError,
     SceneError,
     UnitError,
+    UnknownNameError,
 )
 from .integrate import (
     CVODES,
@@ -200,13 +201,13 @@ from .scene import (
     turning_scenes,
 )
 from .study import study
+from .overdamped import OverdampedSystem
 from .system import (
     Block,
     Event,
     EventFunction,
     Layout,
     OdeSystem,
-    OverdampedSystem,
 )
 from .trajectory import ErrorEstimate, Trajectory
 from .units import quantity

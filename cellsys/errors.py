@@ -39,6 +39,13 @@ class RankError(DataError):
     """More directions are asked for than the data span."""
 
 
+class UnknownNameError(CellsysError, KeyError):
+    """Nothing has that name; the message lists the names there are."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])  # a KeyError would show its repr
+
+
 class RepresentationError(CellsysError, AttributeError):
     """A model's representation does not have the thing asked for (rows of V, say)."""
 

@@ -12,16 +12,29 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
-from cellsys.errors import DataError, DimensionError, NotSymbolicError, ParameterError
+from cellsys.arguments import checked, unchecked
+from cellsys.errors import (
+    DataError,
+    DimensionError,
+    NotSymbolicError,
+    ParameterError,
+    UnknownNameError,
+)
+from cellsys.kinds import Takes, shown
+from cellsys.units import real_array
 
 ROLES = ("component", "field", "controller")
+Matrix = Annotated[
+    np.ndarray | sp.sparray | sp.spmatrix, "a matrix of numbers, an array or scipy.sparse"
+]
 
 
+@checked
 @dataclass(frozen=True)
 class Block:
     """A named, contiguous piece of a vector.
@@ -70,6 +83,7 @@ class Block:
         return names
 
 
+@checked
 class Layout(Sequence[Block]):
     """An ordered set of blocks that together name the entries of a vector."""
 
@@ -93,7 +107,10 @@ class Layout(Sequence[Block]):
         return iter(self._blocks)
 
     def __getitem__(self, key: Any) -> Any:
-        return self._by_name[key] if isinstance(key, str) else self._blocks[key]
+        try:
+            return self._by_name[key] if isinstance(key, str) else self._blocks[key]
+        except (KeyError, TypeError):
+            raise self._unknown(key) from None
 
     def __contains__(self, key: object) -> bool:
         return key in self._slices or key in self._blocks
@@ -110,14 +127,19 @@ class Layout(Sequence[Block]):
     def __repr__(self) -> str:
         return f"Layout({', '.join(f'{b.name}{list(b.shape)}' for b in self._blocks)})"
 
+    @unchecked
     def slice(self, name: str) -> slice:
-        """Where the block lies in the vector; KeyError with the known names otherwise."""
+        """Where the block lies in the vector; UnknownNameError with the known names otherwise."""
         try:
             return self._slices[name]
-        except KeyError:
-            known = ", ".join(self._slices)
-            raise KeyError(f"no block {name!r}; known blocks: {known}") from None
+        except (KeyError, TypeError):
+            raise self._unknown(name) from None
 
+    def _unknown(self, name: object) -> UnknownNameError:
+        known = ", ".join(self._slices) or "none"
+        return UnknownNameError(f"no block {shown(name)}; known blocks: {known}")
+
+    @unchecked
     def view(self, array: np.ndarray, name: str) -> np.ndarray:
         """The block's entries as a view of shape ``array.shape[:-1] + block.shape``."""
         return array[..., self.slice(name)].reshape(array.shape[:-1] + self._by_name[name].shape)
@@ -145,6 +167,7 @@ def _matrix(value: Any, name: str, shape: tuple[int, int]) -> sp.csr_array:
     return matrix
 
 
+@checked
 class Event(NamedTuple):
     """Something that happened at one instant of a run."""
 
@@ -153,6 +176,7 @@ class Event(NamedTuple):
     detail: str  # for example "cell1 node 17"
 
 
+@checked
 @dataclass(frozen=True)
 class EventFunction:
     """A guard located by root finding, and the jump of the state that it causes.
@@ -187,6 +211,7 @@ class SymbolicForm(NamedTuple):
     eta: Any
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OdeSystem:
     """A system of ordinary differential equations, linear in its auxiliary variables.
@@ -215,12 +240,12 @@ class OdeSystem:
         When sizes do not fit or x0, W_x or W_eta hold NaN or inf.
     """
 
-    states: Layout
+    states: Annotated[Layout, Takes(Layout | Sequence[Block | str])]
     x0: np.ndarray
-    auxiliaries: Layout = Layout()
-    inputs: Layout = Layout()
-    W_x: Any = None
-    W_eta: Any = None
+    auxiliaries: Annotated[Layout, Takes(Layout | Sequence[Block | str])] = Layout()
+    inputs: Annotated[Layout, Takes(Layout | Sequence[Block | str])] = Layout()
+    W_x: Annotated[sp.csr_array, Takes(Matrix | None)] = None
+    W_eta: Annotated[sp.csr_array, Takes(Matrix | None)] = None
     law: Callable[[Any, Any], Any] | None = None
     forcing: Callable[[Any, Any], Any] | None = None
 
@@ -229,7 +254,7 @@ class OdeSystem:
             value = getattr(self, name)
             object.__setattr__(self, name, value if isinstance(value, Layout) else Layout(value))
         n, n_eta = self.states.size, self.auxiliaries.size
-        x0 = np.array(self.x0, dtype=float)
+        x0 = real_array(self.x0, "x0").copy()
         if x0.shape != (n,):
             raise DimensionError(f"x0 must have shape ({n},), got {x0.shape}")
         if not np.all(np.isfinite(x0)):
@@ -242,18 +267,21 @@ class OdeSystem:
         if n_eta and self.law is None and type(self).eta is OdeSystem.eta:
             raise ParameterError("a system with auxiliaries needs law(t, x) -> eta")
 
+    @unchecked
     def eta(self, t: float, x: np.ndarray) -> np.ndarray:
         """Auxiliary variables (n_eta,) at (t, x): the outputs of the constitutive laws."""
         if self.law is None:
             return np.zeros(0)
         return np.asarray(self.law(t, x), dtype=float).reshape(self.auxiliaries.size)
 
+    @unchecked
     def u(self, t: float, x: np.ndarray) -> np.ndarray:
         """Exogenous rate (n,) at (t, x)."""
         if self.forcing is None:
             return np.zeros(self.states.size)
         return np.asarray(self.forcing(t, x), dtype=float).reshape(self.states.size)
 
+    @unchecked
     def rhs(self, t: float, x: np.ndarray) -> np.ndarray:
         """dx/dt (n,) at (t, x)."""
         return self.W_x @ x + self.W_eta @ self.eta(t, x) + self.u(t, x)
@@ -305,6 +333,7 @@ class OdeSystem:
         """Constant places that a reader of a run needs, such as rest positions; by name."""
         return {}
 
+    @unchecked
     def observe(self, t: float, x: np.ndarray) -> dict[str, np.ndarray]:
         """Read-outs stored with each sample: ``p``, ``d`` (cells, 3), ``amplitude`` (cells,)."""
         return {}
@@ -330,71 +359,3 @@ def _dm(matrix: sp.csr_array) -> Any:
     import casadi as ca
 
     return ca.DM(sp.csc_matrix(matrix))
-
-
-class MajorantBlock(NamedTuple):
-    """An over-estimate of the tangent: SPD `matrix()` (k, k) on each column of `index` (k, c).
-
-    `factor(matrix)`, if given, returns a solver for these; `matrix` is called when `key` changes.
-    """
-
-    name: str
-    index: np.ndarray
-    matrix: Callable[[], sp.csc_array]
-    key: Any
-    factor: Callable[[sp.csc_array], Callable] | None = None
-
-
-class RankOne(NamedTuple):
-    """A stiff direction k g g^T (pressure of a closed membrane), g (k,) on the states `index`."""
-
-    index: np.ndarray
-    stiffness: float
-    direction: np.ndarray
-
-
-class OverdampedSystem(OdeSystem):
-    """An `OdeSystem` of nodes with drag, and of internal states that follow them.
-
-        C dx_i/dt = F_i(x)      nodes, through nodal force ports (constant W_eta = I/C)
-        ds/dt = r(x, v, s)      internal states (bonds, polarity), rates in blocks of eta
-
-    It gives a linearly implicit integrator what it needs beyond the right-hand side.
-    """
-
-    def drag(self) -> np.ndarray:
-        """Drag of each state (n,), pN s/um; 0 marks internal states, inf clamped nodes."""
-        raise NotImplementedError
-
-    def efforts(self, t: float, x: np.ndarray) -> np.ndarray:
-        """Like `eta`, with the blocks that hold rates of internal states left at zero."""
-        raise NotImplementedError
-
-    def rate(self, x: np.ndarray, eta: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """W_x x + W_eta eta + u (n,), in a new array."""
-        return self.W_eta @ eta + u + (self.W_x @ x if self.W_x.nnz else 0.0)
-
-    def forget(self) -> None:
-        """Drop what is kept between looks at the tangent: a run must not see an earlier one."""
-
-    def internal_blocks(self) -> tuple[tuple[slice, slice], ...]:
-        """(slice of x, slice of eta) of every internal state and its rate."""
-        raise NotImplementedError
-
-    def advance_internal(self, t: float, x: np.ndarray, x_new: np.ndarray, dt: float) -> None:
-        """Fill the internal states of `x_new`, given its node positions and the old state."""
-        raise NotImplementedError
-
-    def majorant(self, t: float, x: np.ndarray, dt: float) -> tuple[MajorantBlock, ...]:
-        """Sparse SPD over-estimates of -dF/dx; together they cover every node state once."""
-        raise NotImplementedError
-
-    def low_rank(self, t: float, x: np.ndarray) -> tuple[RankOne, ...]:
-        """Stiff directions to be added to the majorant by the Woodbury identity."""
-        return ()
-
-    def between_steps(
-        self, t: float, x: np.ndarray, dt: float, rng: np.random.Generator
-    ) -> tuple[np.ndarray, tuple[Event, ...]]:
-        """Discrete changes (binding, rupture) at the start of a step: new state and events."""
-        return x, ()

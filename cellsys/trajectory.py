@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
+from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError
 from cellsys.system import Event, Layout
@@ -23,6 +24,7 @@ def cell_names(states: Layout) -> list[str]:
     return [name for name in names if "." not in name]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class ErrorEstimate:
     """The integrator's part of a run's error: its largest value over the samples.
@@ -67,6 +69,7 @@ class ErrorEstimate:
         return f"{self.relative:.1e} of the largest state ({self.method}, {self.time:.2g} s)"
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Trajectory(Drawable):
     """Samples of a run; axis 0 is time.
@@ -143,6 +146,8 @@ class Trajectory(Drawable):
     _figure: ClassVar[str] = "trajectory"
 
     def __post_init__(self) -> None:
+        if np.ndim(self.t) != 1:
+            raise DimensionError(f"t must be a list of times, got shape {np.shape(self.t)}")
         n_times = np.shape(self.t)[0]
         if np.shape(self.x) != (n_times, self.states.size):
             raise DimensionError(

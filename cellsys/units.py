@@ -11,11 +11,13 @@ import difflib
 import math
 import re
 from fractions import Fraction
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from cellsys.errors import DataError, ParameterError, UnitError
+from cellsys.arguments import checked
+from cellsys.errors import DataError, DimensionError, ParameterError, UnitError
+from cellsys.kinds import Takes
 
 # Exponents of length, force, time, angle, temperature.
 Dimension = tuple[Fraction, Fraction, Fraction, Fraction, Fraction]
@@ -122,7 +124,31 @@ def real_number(value: Any, name: str) -> float:
     raise ParameterError(f"{name} must be a finite real number, got {value!r}")
 
 
-def quantity(value: str | float, unit: str, *, name: str = "value") -> float:
+def shaped_array(value: Any, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    """`value` as a finite array of floats of a shape; None stands for any length.
+
+    Raises
+    ------
+    DimensionError, DataError
+        Another shape; NaN, inf, or what `real_array` refuses.
+    """
+    array = real_array(value, name)
+    fits = array.ndim == len(shape) and all(
+        n in (None, m) for n, m in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise DimensionError(f"{name} must have shape ({wanted}), got {array.shape}")
+    if not np.all(np.isfinite(array)):
+        bad = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise DataError(f"{name}{bad} is {array[tuple(bad)]}, not finite")
+    return array
+
+
+@checked
+def quantity(
+    value: Annotated[str | float, Takes(object)], unit: str, *, name: str = "value"
+) -> float:
     """Convert a quantity to a float in `unit`'s internal form.
 
     Parameters

@@ -27,9 +27,10 @@ FLOORS = [
     ("reduction", "scene"),
     ("mechanics",),
     ("bondgraph", "integrate", "response"),
+    ("contracts",),
     ("laws", "store"),
-    ("system", "trajectory", "drawable"),
-    ("units", "errors", "version"),
+    ("system", "overdamped", "trajectory", "drawable"),
+    ("units", "arguments", "kinds", "errors", "version"),
 ]
 FLOOR = {room: height for height, rooms in enumerate(reversed(FLOORS)) for room in rooms}
 # The ground floor and the files of the middle one are single modules that may look at each other
@@ -37,7 +38,12 @@ FLOOR = {room: height for height, rooms in enumerate(reversed(FLOORS)) for room 
 INSIDE = {
     ("trajectory", "system"),
     ("trajectory", "drawable"),
+    ("overdamped", "system"),
     ("units", "errors"),
+    ("units", "arguments"),
+    ("units", "kinds"),
+    ("arguments", "kinds"),
+    ("arguments", "errors"),
     ("__main__", "cli"),
 }
 
@@ -186,7 +192,8 @@ def test_file(path):
 def _protocol() -> set[str]:
     """Methods documented on the base classes that other rooms implement."""
     names = set()
-    for base in ("system.py", "mechanics/effects/protocol.py", "integrate/stepping.py"):
+    bases = ("system.py", "overdamped.py", "mechanics/effects/protocol.py", "integrate/stepping.py")
+    for base in bases:
         for node in ast.parse((PACKAGE / base).read_text("utf-8")).body:
             if isinstance(node, ast.ClassDef):
                 names |= {

@@ -14,10 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from cellsys.errors import ParameterError
+from cellsys.arguments import checked
+from cellsys.contracts import Reductor
+from cellsys.errors import DataError, ParameterError
 from cellsys.integrate import DOP853, LinearlyImplicit, simulate
-from cellsys.population import InteractionGraph, couple
-from cellsys.reduction import Snapshots, compare_reductors, learning_curve
+from cellsys.integrate.simulate import check_times
+from cellsys.kinds import Count, Seed
+from cellsys.population import (
+    Feedback,
+    InteractionGraph,
+    MappedSuperposition,
+    Superposition,
+    couple,
+)
+from cellsys.reduction import LatentModel, Snapshots, compare_reductors, learning_curve
 from cellsys.scene import Scene, build
 
 NUDGE = 1e-13  # of one weight: enough for the dense route, far below every tolerance
@@ -25,6 +35,7 @@ SHIFT = 0.005  # um
 MOVING = ("cell1.position", "matrix.displacement")
 
 
+@checked
 @dataclass(frozen=True)
 class CostRow:
     """One setting: its time, s, and its errors by name (NaN or absent: not measured)."""
@@ -34,6 +45,7 @@ class CostRow:
     errors: Mapping[str, float]
 
 
+@checked
 @dataclass(frozen=True)
 class CostAxis:
     """What one axis of settings costs and how far off each setting is.
@@ -89,8 +101,9 @@ def _text(value: float | None) -> str:
     return "diverges" if np.isinf(value) else f"{value:.3g}"
 
 
+@checked
 def order_cost(
-    train: Snapshots, test: Snapshots, orders: Sequence[int], methods: Sequence[Any]
+    train: Snapshots, test: Snapshots, orders: Sequence[int], methods: Sequence[Reductor]
 ) -> CostAxis:
     """Held-out error, projection floor and roll-out time of reduced models against their order.
 
@@ -113,16 +126,17 @@ def order_cost(
     return CostAxis(f"order: {found.block}", rows, "roll-out", found.baselines)
 
 
+@checked
 def runs_cost(
     train: Snapshots,
     test: Snapshots,
-    method: Any,
+    method: Reductor,
     order: int,
     run_seconds: float,
     counts: Sequence[int] | None = None,
     *,
     draws: int = 3,
-    seed: int = 0,
+    seed: Seed = 0,
 ) -> CostAxis:
     """Held-out error against what the training runs cost.
 
@@ -149,6 +163,7 @@ def runs_cost(
     return CostAxis(f"training runs: {curve.settings} m = {order}", rows, "training runs")
 
 
+@checked
 def kinetics_cost(
     scene: Scene, t: np.ndarray, kinetics: Sequence[str] = ("clutch", "switching")
 ) -> CostAxis:
@@ -169,7 +184,9 @@ def kinetics_cost(
     """
     if "focal_adhesion" not in scene.effects:
         raise ParameterError(f"scene {scene.name!r} has no focal_adhesion; add it to its effects")
-    rows = []
+    t, rows = check_times(t), []
+    if len(t) < 2:
+        raise DataError(f"t must hold at least two samples, got {len(t)}")
     for kind in kinetics:
         effects = dict(scene.effects)
         effects["focal_adhesion"] = dataclasses.replace(effects["focal_adhesion"], kinetics=kind)
@@ -202,15 +219,16 @@ def _other_motion(found: np.ndarray, truth: np.ndarray) -> float:
     return float(np.linalg.norm(found - found[0] - moved) / np.linalg.norm(moved))
 
 
+@checked
 def coupling_cost(
-    model: Any,
-    counts: Sequence[int],
+    model: LatentModel,
+    counts: Sequence[Count],
     t: np.ndarray,
-    form: Any,
+    form: Superposition | MappedSuperposition | Feedback,
     *,
     tolerance: float = 1e-6,
     dense_up_to: int = 600,
-    seed: int = 0,
+    seed: Seed = 0,
 ) -> CostAxis:
     """One run of K coupled cells by exact modal flows, by modes integrated, by the dense matrix.
 

@@ -12,7 +12,6 @@ import dataclasses
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -30,13 +29,17 @@ from cellsys.accuracy.starts import (
     uncapped,
 )
 from cellsys.accuracy.work_precision import WorkPrecision, work_precision
+from cellsys.arguments import checked
+from cellsys.contracts import Integrator
 from cellsys.errors import CellsysError, DataError, IntegrationError, ParameterError
 from cellsys.integrate import CVODES, DOP853, LSODA, Exponential
+from cellsys.kinds import Seed
 from cellsys.loop import ClosedLoop, ScheduledLoop, closed_loop
 from cellsys.reduction import EquivariantModel, LatentModel
 from cellsys.scene import Scene
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Budget:
     """The answer of `budget`.
@@ -59,7 +62,7 @@ class Budget:
 
     error: float
     measure: str
-    integrator: Any
+    integrator: Integrator | None
     seconds: float
     training: float
     held_out: float
@@ -84,6 +87,7 @@ class Budget:
         )
 
 
+@checked
 def budget(
     target: ClosedLoop | ScheduledLoop | LatentModel | EquivariantModel | Scene,
     *,
@@ -94,7 +98,7 @@ def budget(
     margin: float = 2.0,
     training: int = 3,
     held_out: int = 2,
-    seed: int = 0,
+    seed: Seed = 0,
     setups: Sequence[Setup] | None = None,
 ) -> Budget:
     """The cheapest setting of an integrator that meets an error.

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from cellsys.accuracy.axes import CostAxis, CostRow
+from cellsys.arguments import checked
+from cellsys.contracts import MatrixField
 from cellsys.errors import ParameterError
-from cellsys.reduction import CellsOnField
+from cellsys.reduction import CellsOnField, EquivariantModel
 from cellsys.scene import Scene
 from cellsys.trajectory import Trajectory
 
@@ -54,9 +56,10 @@ def step_commands(scene: Scene, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
+@checked
 def cells_cost(
-    models: Sequence[Any],
-    field: Any,
+    models: Sequence[EquivariantModel],
+    field: MatrixField,
     scene: Scene,
     truth: Trajectory,
     full_order: Mapping[str, Trajectory] | None = None,

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from cellsys.accuracy.budget import Budget, held_out_error
 from cellsys.accuracy.setups import CostProblem, Setup
 from cellsys.accuracy.starts import uncapped
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 
 
+@checked
 @dataclass(frozen=True)
 class BudgetCheck:
     """What a budget's setting is worth on another start.
@@ -41,6 +43,7 @@ class BudgetCheck:
         return self.error <= self.asked
 
 
+@checked
 def check_budget(
     found: Budget,
     problem: CostProblem,

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.observe import node_speed
 from cellsys.system import Layout
@@ -51,6 +52,7 @@ MEASURES: dict[str, Callable[[np.ndarray, np.ndarray], float]] = {
 }
 
 
+@checked
 def measure(name: str, x: np.ndarray, reference: np.ndarray) -> float:
     """One of `MEASURES` of states x against a reference, both (T, n).
 

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from cellsys.accuracy.setups import CostProblem, Setup
+from cellsys.arguments import checked
 from cellsys.errors import IntegrationError
 
 Rhs = Callable[[float, np.ndarray], np.ndarray]
 
 
+@checked
 def solve_ivp_peer(method: str, tolerances: Sequence[float], rhs: Rhs | None = None) -> Setup:
     """scipy's `solve_ivp` by one of its methods; `rhs` replaces the system's own.
 
@@ -46,6 +48,7 @@ def solve_ivp_peer(method: str, tolerances: Sequence[float], rhs: Rhs | None = N
     return Setup(f"scipy {method}", solve, tuple(tolerances))
 
 
+@checked
 def input_output_response(tolerances: Sequence[float], rhs: Rhs | None = None) -> Setup:
     """python-control's `input_output_response` with its default method (RK45)."""
 

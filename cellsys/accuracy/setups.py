@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.integrate import simulate
+from cellsys.kinds import Seed
 from cellsys.system import OdeSystem
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class CostProblem:
     """A run whose cost is asked for.
@@ -33,7 +36,7 @@ class CostProblem:
     system: OdeSystem
     t: np.ndarray
     x0: np.ndarray | None = None
-    seed: int = 0
+    seed: Seed = 0
 
     @property
     def start(self) -> np.ndarray:
@@ -41,6 +44,7 @@ class CostProblem:
         return np.asarray(self.system.x0 if self.x0 is None else self.x0, dtype=float)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Setup:
     """A way to solve a problem at several settings.
@@ -72,11 +76,13 @@ class Setup:
             raise ParameterError(f"setup {self.name!r} needs at least one setting")
 
 
+IntegratorClass = Annotated[type, "a class of integrators, such as cs.RungeKutta4"]
 _OWN = ("Exponential", "LinearlyImplicit", "RKC")
 
 
+@checked
 def by_tolerance(
-    method: Any, tolerances: Sequence[float], fixed: Mapping[str, float] | None = None
+    method: IntegratorClass, tolerances: Sequence[float], fixed: Mapping[str, float] | None = None
 ) -> Setup:
     """A setup that gives rtol = atol = tolerance to an integrator class.
 
@@ -86,14 +92,17 @@ def by_tolerance(
     return _setup(method, tolerances, "tolerance", lambda v: method(rtol=v, atol=v, **more))
 
 
-def by_step(method: Any, steps: Sequence[float], fixed: Mapping[str, float] | None = None) -> Setup:
+@checked
+def by_step(
+    method: IntegratorClass, steps: Sequence[float], fixed: Mapping[str, float] | None = None
+) -> Setup:
     """A setup that gives a step, s, to an integrator class; `fixed` as in `by_tolerance`."""
     more = dict(fixed or {})
     return _setup(method, steps, "step, s", lambda v: method(step=v, **more))
 
 
 def _setup(
-    method: Any, settings: Sequence[float], unit: str, make: Callable[[float], Any]
+    method: type, settings: Sequence[float], unit: str, make: Callable[[float], Any]
 ) -> Setup:
     def solve(problem: CostProblem, setting: float) -> np.ndarray:
         return np.asarray(

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from cellsys.accuracy.setups import CostProblem, Setup, by_step, by_tolerance
+from cellsys.arguments import checked
+from cellsys.errors import ParameterError
 from cellsys.integrate import (
     DOP853,
     LSODA,
@@ -17,6 +19,7 @@ from cellsys.integrate import (
     Radau,
     stability_limit,
 )
+from cellsys.kinds import Count, Seed
 from cellsys.loop import ClosedLoop
 from cellsys.scene import Scene, build
 from cellsys.scene.chain import ChainScene
@@ -31,8 +34,9 @@ EULER = 0.002  # asked share of the motion down to which explicit Euler is a ref
 MOST = 500  # steps of RKC between two samples
 
 
+@checked
 def loop_problems(
-    loop: ClosedLoop, count: int, t: np.ndarray | None, seed: int
+    loop: ClosedLoop, count: Count, t: np.ndarray | None, seed: Seed
 ) -> list[CostProblem]:
     """The loop from `count` headings drawn from a seed."""
     times = np.arange(0.0, 1001.0) if t is None else np.asarray(t, dtype=float)
@@ -47,14 +51,18 @@ def loop_problems(
     return out
 
 
+@checked
 def probe_times(scene: Scene, seconds: float) -> np.ndarray:
     """0 .. `seconds`, at most the scene's duration, by its sample but at least every 2 s."""
+    if not 0 < seconds < np.inf:
+        raise ParameterError(f"seconds must be finite and > 0 s, got {seconds!r}")
     end = min(seconds, scene.duration)
     return np.linspace(0.0, end, 1 + max(2, round(end / min(scene.sample, 2.0))))
 
 
+@checked
 def scene_problems(
-    scene: Scene, count: int, t: np.ndarray, seed: int, first: int = 0
+    scene: Scene, count: Count, t: np.ndarray, seed: Seed, first: int = 0
 ) -> list[CostProblem]:
     """The scene from drawn headings, places and seeds, number `first` on; number 0 is its own.
 
@@ -102,6 +110,7 @@ def _kicked(scene: Scene, rng: np.random.Generator) -> tuple:
     )
 
 
+@checked
 def full_order_setups(problem: CostProblem) -> list[Setup]:
     """Every method for a full-order system but the references, loosest first."""
     if problem.system.events():
@@ -114,6 +123,7 @@ def full_order_setups(problem: CostProblem) -> list[Setup]:
     return out
 
 
+@checked
 def full_order_references(problem: CostProblem, error: float) -> tuple[Setup, Setup]:
     """Two methods, each tighter than what is swept for an `error`; the first is the truth.
 

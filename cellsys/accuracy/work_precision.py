@@ -22,6 +22,7 @@ import numpy as np
 
 from cellsys.accuracy.measures import measure
 from cellsys.accuracy.setups import CostProblem, Setup
+from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.errors import CellsysError, DataError, ParameterError
 from cellsys.store.atomic import write_json, write_text
@@ -29,6 +30,7 @@ from cellsys.store.atomic import write_json, write_text
 SLOW = 2.0  # s of a solve that other work on the machine no longer changes much
 
 
+@checked
 @dataclass(frozen=True)
 class WorkPoint:
     """One setting of one setup: its error and time, or why there is none (NaN)."""
@@ -41,6 +43,7 @@ class WorkPoint:
     reason: str = ""
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class WorkPrecision(Drawable):
     """A finished sweep.
@@ -136,10 +139,11 @@ class WorkPrecision(Drawable):
         return "\n".join(lines)
 
 
+@checked
 def work_precision(
     setups: Sequence[Setup],
     problem: CostProblem,
-    reference: tuple[Any, Any],
+    reference: tuple[Setup, Setup],
     *,
     error: str = "maximum",
     repeats: int = 3,

@@ -16,14 +16,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
+import numpy as np
+import scipy.sparse as sp
+
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.system import Block
 
 Law = Callable[[Any], Any]
+Value = Annotated[
+    float | str | np.ndarray, "a number, a quantity such as '2 N/m' or an array of numbers"
+]
+Start = Annotated[float | np.ndarray, "a number or an array of numbers"]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Element:
     """Anything with a name that bonds can end on."""
@@ -44,6 +53,7 @@ def _one_of(name: str, **given: Any) -> None:
         )
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Zero(Element):
     """0-junction: common effort, flows sum to zero (Kirchhoff's current law).
@@ -60,6 +70,7 @@ class Zero(Element):
     domain: str | None = None
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class One(Element):
     """1-junction: common flow, efforts sum to zero (Kirchhoff's voltage law).
@@ -77,9 +88,10 @@ class One(Element):
     shape: tuple[int, ...] = ()
     domain: str | None = None
     position: str | Block | None = None
-    x0: Any = 0.0
+    x0: Start = 0.0
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Se(Element):
     """Source of effort: a number, a quantity or a function of time; its name is an input.
@@ -87,16 +99,18 @@ class Se(Element):
     The value is the effort of its bond, whatever the bond's direction.
     """
 
-    value: Any = 0.0
+    value: Value | Callable[[Any], Any] = 0.0
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Sf(Element):
     """Source of flow: a number, a quantity or a function of time; its name is an input."""
 
-    value: Any = 0.0
+    value: Value | Callable[[Any], Any] = 0.0
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class R(Element):
     """Resistor e = resistance x f (damper, drag), or e = law(f).
@@ -111,8 +125,8 @@ class R(Element):
         Promise that the law increases: needed to solve algebraic loops through it.
     """
 
-    resistance: Any = None
-    conductance: Any = field(default=None, kw_only=True)
+    resistance: Value | None = None
+    conductance: Value | None = field(default=None, kw_only=True)
     law: Law | None = field(default=None, kw_only=True)
     inverse: Law | None = field(default=None, kw_only=True)
     monotone: bool = field(default=False, kw_only=True)
@@ -127,6 +141,7 @@ class R(Element):
         )
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class C(Element):
     """Storage of displacement dq/dt = f (spring, capacitor, tank): e = q/compliance or law(q).
@@ -143,11 +158,11 @@ class C(Element):
         Initial displacement.
     """
 
-    compliance: Any = None
-    stiffness: Any = field(default=None, kw_only=True)
+    compliance: Value | None = None
+    stiffness: Value | None = field(default=None, kw_only=True)
     law: Law | None = field(default=None, kw_only=True)
     energy: Law | None = field(default=None, kw_only=True)
-    q0: Any = field(default=0.0, kw_only=True)
+    q0: Start = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -159,6 +174,7 @@ class C(Element):
         )
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class I(Element):  # noqa: E742 - the field's own name for an inertia
     """Storage of momentum dp/dt = e (mass, inductor): f = p/inertance or law(p).
@@ -173,16 +189,17 @@ class I(Element):  # noqa: E742 - the field's own name for an inertia
         Initial momentum.
     """
 
-    inertance: Any = None
+    inertance: Value | None = None
     law: Law | None = field(default=None, kw_only=True)
     energy: Law | None = field(default=None, kw_only=True)
-    p0: Any = field(default=0.0, kw_only=True)
+    p0: Start = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         _one_of(f"I {self.name!r}", inertance=self.inertance, law=self.law)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class CField(Element):
     """Storage with several ports: dq_i/dt = f_i, (e_1, e_2, ...) = law(q_1, q_2, ...).
@@ -213,6 +230,7 @@ class CField(Element):
             raise ParameterError(f"CField {self.name!r} has no end {sorted(unknown)[0]!r}")
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class NodalEffort(Element):
     """Port of a vector element on a junction array: an effort that is a block of eta.
@@ -231,6 +249,7 @@ class NodalEffort(Element):
     law: Callable[[Any, Mapping[str, Any]], Any] | None = None
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Internal(Element):
     """State inside an element (bond strength, stretch) whose rate is a block of eta.
@@ -247,10 +266,11 @@ class Internal(Element):
 
     block: Block | None = None
     rate: Callable[[Any, Mapping[str, Any]], Any] | None = None
-    x0: Any = 0.0
+    x0: Start = 0.0
     ports: ClassVar[tuple[str, ...]] = ()
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class TF(Element):
     """Transformer (lever, gear, piston): e_in = ratio e_out, f_out = ratio f_in.
@@ -263,9 +283,10 @@ class TF(Element):
         auxiliaries and W_eta stays constant.
     """
 
-    ratio: Any = None
+    ratio: Value | sp.sparray | sp.spmatrix | Callable[[Any], Any] | None = None
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class GY(Element):
     """Gyrator (motor, pump): e_in = ratio f_out, e_out = ratio f_in.
@@ -276,7 +297,7 @@ class GY(Element):
         As for `TF`, without the matrix.
     """
 
-    ratio: Any = None
+    ratio: Value | Callable[[Any], Any] | None = None
 
 
 JUNCTIONS = (Zero, One)

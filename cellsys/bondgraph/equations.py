@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from cellsys.arguments import checked
 from cellsys.bondgraph.causality import assign
 from cellsys.bondgraph.elements import C, CField, I, R, Se, Sf
 from cellsys.bondgraph.energy import dissipation, stored_energy
@@ -21,6 +22,7 @@ from cellsys.bondgraph.writing import latex, text
 from cellsys.system import Layout, OdeSystem
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Equations:
     """State equations of a bond graph [thesis eq. 5],

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from cellsys.arguments import checked
 from cellsys.bondgraph.elements import JUNCTIONS, TWO_PORTS, CField, Element, Internal
 from cellsys.bondgraph.quantities import DOMAINS
 from cellsys.drawable import Drawable
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from cellsys.bondgraph.equations import Equations
 
 
+@checked
 class Bond(NamedTuple):
     """A power bond; positive power flows from tail to head."""
 
@@ -49,6 +51,7 @@ class Port(NamedTuple):
         return f"{self.element.name}.{self.port}" if self.port else self.element.name
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class BondGraph(Drawable):
     """A bond graph, and from it the state equations (thesis Table 1, eq. 2-5).

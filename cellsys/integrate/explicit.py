@@ -6,11 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellsys.errors import ParameterError
+from cellsys.arguments import checked
 from cellsys.integrate.stepping import Stepper, check_step
-from cellsys.system import OdeSystem, OverdampedSystem
+from cellsys.overdamped import OverdampedSystem
+from cellsys.system import OdeSystem
+from cellsys.units import shaped_array
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class ExplicitEuler:
     """x+ = x + step f(t, x), first order, stable for step < 2/|lambda|.
@@ -46,6 +49,7 @@ class _ExplicitStepper(Stepper):
         return eta, u
 
 
+@checked
 def stability_limit(system: OverdampedSystem, t: float = 0.0, x: np.ndarray | None = None) -> float:
     """Largest stable explicit Euler step 2 / lambda_max(C^-1 K), s.
 
@@ -58,9 +62,7 @@ def stability_limit(system: OverdampedSystem, t: float = 0.0, x: np.ndarray | No
     ParameterError
         When the system has no majorant.
     """
-    if not isinstance(system, OverdampedSystem):
-        raise ParameterError("stability_limit needs a system with drag and a majorant")
-    state = system.x0 if x is None else x
+    state = system.x0 if x is None else shaped_array(x, "x", system.x0.shape)
     drag = system.drag()
     largest = 0.0
     for block in system.majorant(t, state, 0.0):

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.integrate.exponential_steps import ExponentialStepper
 from cellsys.integrate.propagation import average_commands, sample, spacing
@@ -24,6 +25,7 @@ from cellsys.integrate.windows import Path, WindowSolver
 from cellsys.system import OdeSystem
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Exponential:
     """Exponential integrator: give rtol and atol, or a step and an order.

@@ -22,13 +22,16 @@ import scipy.linalg as sla
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.integrate.stepping import Stepper, check_step
-from cellsys.system import MajorantBlock, OdeSystem, OverdampedSystem
+from cellsys.overdamped import MajorantBlock, OverdampedSystem
+from cellsys.system import OdeSystem
 
 _STILL = 1e-9  # um/s: nodes that are slower are at rest
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class LinearlyImplicit:
     """First-order W-method for overdamped systems: one force evaluation and one solve a step.

@@ -13,14 +13,17 @@ from functools import lru_cache
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.integrate.stepping import Stepper
-from cellsys.system import OdeSystem, OverdampedSystem
+from cellsys.overdamped import OverdampedSystem
+from cellsys.system import OdeSystem
 
 _EPSILON = 2.0 / 13.0  # damping
 _RENEW = 25  # steps between two looks at the spectral radius
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class RKC:
     """Order 2, explicit, stages chosen from the spectral radius, step from the local error.

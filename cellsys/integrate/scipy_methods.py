@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.integrate as integrate
 
+from cellsys.arguments import checked
 from cellsys.errors import IntegrationError, ParameterError
 from cellsys.integrate.hybrid import solve_hybrid
 from cellsys.integrate.solution import Solution
@@ -91,6 +92,7 @@ class _Method:
         return solution
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class DOP853(_Method):
     """Explicit Runge-Kutta of order 8 (Dormand and Prince); for systems that are not stiff.
@@ -110,6 +112,7 @@ class DOP853(_Method):
     _solver: ClassVar[Any] = integrate.DOP853
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Radau(_Method):
     """Implicit Runge-Kutta of order 5 (Radau IIA), L-stable; for stiff systems.
@@ -121,6 +124,7 @@ class Radau(_Method):
     _solver: ClassVar[Any] = integrate.Radau
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class LSODA(_Method):
     """Adams and BDF of variable order with automatic switching (ODEPACK).

@@ -15,10 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import Integrator
 from cellsys.errors import DimensionError, IntegrationError, ParameterError
+from cellsys.integrate.simulate import check_times
 from cellsys.integrate.symbolic import integrator_of
 from cellsys.system import Layout as Layout  # what the inherited __init__ is annotated with
 from cellsys.system import OdeSystem
+from cellsys.units import shaped_array
 
 
 class ParametricForm(NamedTuple):
@@ -31,6 +35,7 @@ class ParametricForm(NamedTuple):
     p: Any
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ParametricSystem(OdeSystem):
     """x' = W_x x + f(t, x, p) with named parameters p.
@@ -76,6 +81,7 @@ class ParametricSystem(OdeSystem):
         return kept
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
     """Derivatives of a run by parameters.
@@ -100,9 +106,10 @@ class Sensitivities:
         return self.dx[:, :, self.names.index(name)]
 
 
+@checked
 def sensitivities(
     system: ParametricSystem,
-    integrator: Any,
+    integrator: Integrator,
     t: np.ndarray,
     *,
     parameters: Sequence[str] | None = None,
@@ -128,8 +135,7 @@ def sensitivities(
     """
     import casadi as ca
 
-    names = _names(system, parameters)
-    t = np.asarray(t, dtype=float)
+    names, t = _names(system, parameters), check_times(t)
     F = integrator_of(integrator, system, t, False)
     p = ca.MX.sym("p", len(system.parameters))
     out = F(x0=system.x0, p=p)["xf"]
@@ -143,8 +149,9 @@ def sensitivities(
     return Sensitivities(t, x, names, dx[:, :, chosen])
 
 
+@checked
 def end_gradient(
-    system: ParametricSystem, integrator: Any, t: np.ndarray, weights: np.ndarray
+    system: ParametricSystem, integrator: Integrator, t: np.ndarray, weights: np.ndarray
 ) -> tuple[dict[str, float], np.ndarray]:
     """Adjoint gradient of w . x(t_end): by every parameter, and by the initial state (n,).
 
@@ -153,10 +160,8 @@ def end_gradient(
     import casadi as ca
 
     names = _names(system, None)
-    weights = np.asarray(weights, dtype=float)
-    if weights.shape != system.x0.shape:
-        raise DimensionError(f"weights must have shape {system.x0.shape}, got {weights.shape}")
-    t = np.asarray(t, dtype=float)[[0, -1]]
+    weights = shaped_array(weights, "weights", system.x0.shape)
+    t = check_times(t)[[0, -1]]
     F = integrator_of(integrator, system, t, False)
     p, x0 = ca.MX.sym("p", len(names)), ca.MX.sym("x0", system.states.size)
     goal = ca.dot(ca.DM(weights), F(x0=x0, p=p)["xf"])
@@ -166,6 +171,7 @@ def end_gradient(
     return dict(zip(names, map(float, values), strict=True)), np.array(by_x).ravel()
 
 
+@checked
 def pole_sensitivities(A: np.ndarray, dA: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poles of A(p) and their derivatives d pole/dp = w^H dA v/(w^H v), both (n,), 1/s.
 
@@ -174,8 +180,9 @@ def pole_sensitivities(A: np.ndarray, dA: np.ndarray) -> tuple[np.ndarray, np.nd
     DimensionError, ParameterError
         When the shapes differ, or a pole is defective: it then has no derivative.
     """
-    A, dA = np.asarray(A, dtype=float), np.asarray(dA, dtype=float)
-    if A.shape != dA.shape or A.ndim != 2 or A.shape[0] != A.shape[1]:
+    A = shaped_array(A, "A", (None, None))
+    dA = shaped_array(dA, "dA", (None, None))
+    if A.shape != dA.shape or A.shape[0] != A.shape[1]:
         raise DimensionError(f"A and dA must be square and alike, got {A.shape}, {dA.shape}")
     poles, left, right = sla.eig(A, left=True, right=True)
     scale = np.einsum("ij,ij->j", left.conj(), right)

@@ -9,8 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.sparse as sp
 
+from cellsys.arguments import checked
+from cellsys.contracts import Integrator
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.integrate.estimate import estimate_of, first_order
+from cellsys.kinds import Seed
 from cellsys.store.memory import available_memory as available_memory
 from cellsys.store.memory import check_memory
 from cellsys.system import Block, Event, Layout, OdeSystem
@@ -87,13 +90,14 @@ def check_times(t: Any) -> np.ndarray:
     return times
 
 
+@checked
 def simulate(
     system: OdeSystem,
-    integrator: Any,
+    integrator: Integrator,
     t: np.ndarray,
     x0: np.ndarray | None = None,
     *,
-    seed: int | np.random.SeedSequence = 0,
+    seed: Seed | np.random.SeedSequence = 0,
     auxiliaries: bool = True,
     sink: Sink | None = None,
     progress: Callable[[float], None] | None = None,

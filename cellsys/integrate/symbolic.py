@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import IntegrationError, ParameterError
 from cellsys.integrate.solution import Solution
 from cellsys.integrate.stepping import check_step, steps_of
@@ -22,6 +23,7 @@ from cellsys.units import real_number
 _LEAST = 1e-15  # relative error of a step; below it SUNDIALS calls tolerances too small
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class CVODES:
     """Variable-order BDF of SUNDIALS through CasADi.
@@ -58,6 +60,7 @@ class CVODES:
         return _controls(self)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class IDAS:
     """Variable-order BDF of SUNDIALS for implicit systems, through CasADi.
@@ -87,6 +90,7 @@ class IDAS:
         return _controls(self)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Collocation:
     """Radau collocation with a fixed step, implicit and L-stable, of order 2 s - 1.
@@ -130,6 +134,7 @@ class Collocation:
         }
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class RungeKutta4:
     """Classical Runge-Kutta, order 4, with a fixed step.
@@ -250,6 +255,11 @@ def integrator_of(method: Any, system: OdeSystem, times: np.ndarray, averages: b
     """
     import casadi as ca
 
+    if not callable(getattr(method, "options", None)):
+        raise ParameterError(
+            f"{type(method).__name__} has no derivatives; use CVODES, IDAS, Collocation or "
+            "RungeKutta4"
+        )
     kept = system.__dict__.setdefault("_integrators", {})
     key = (repr(method), averages, times.tobytes())
     if key not in kept:

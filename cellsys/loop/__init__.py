@@ -1,8 +1,8 @@
 """The loop: plant, controller, sensor, closed together."""
 
-from cellsys.loop.closed_loop import ClosedLoop, Linearisation, closed_loop
+from cellsys.loop.closed_loop import ClosedLoop, Linearisation
 from cellsys.loop.input_map import MPol
-from cellsys.loop.loop_system import loop_copies, parametric_loop
+from cellsys.loop.join import closed_loop, loop_copies, parametric_loop
 from cellsys.loop.polarity import Perturb, PolarityLaw, Stay
 from cellsys.loop.scheduled import ScheduledLoop
 from cellsys.reduction.sensor import StiffnessSensor

@@ -23,6 +23,8 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import Integrator
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.integrate.semilinear import Semilinear
@@ -33,9 +35,7 @@ from cellsys.laws.polarity import heading_features
 from cellsys.loop.loop_system import ClosedLoopSystem, model_error, semilinear_of
 from cellsys.loop.modal import set_apart_text, split_slow
 from cellsys.loop.polarity import PolarityLaw
-from cellsys.loop.scheduled import ScheduledLoop
 from cellsys.reduction.commands import harmonic
-from cellsys.reduction.equivariant.model import EquivariantModel
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.sensor import StiffnessSensor
 from cellsys.system import Block, Layout
@@ -43,6 +43,7 @@ from cellsys.trajectory import Trajectory
 from cellsys.units import real_array
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Linearisation(Drawable):
     """The loop linearised about one point.
@@ -95,6 +96,7 @@ class Linearisation(Drawable):
         )
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
     """Plant, controller and sensor joined.
@@ -175,16 +177,16 @@ class ClosedLoop:
     def simulate(
         self,
         t: np.ndarray,
-        integrator: Any,
+        integrator: Integrator,
         *,
-        z0: Any = None,
-        p0: Any = None,
+        z0: np.ndarray | None = None,
+        p0: np.ndarray | None = None,
         auxiliaries: bool = False,
     ) -> Trajectory:
         """Run the loop at the times `t` (s); `Exponential` is made for it. No laws are logged."""
         z0 = self.z0 if z0 is None else real_array(z0, "z0")
         p0 = self.p0 if p0 is None else real_array(p0, "p0")
-        _check_point(z0, p0)
+        check_point(z0, p0)
         return simulate(
             self.system,
             integrator,
@@ -304,7 +306,7 @@ class ClosedLoop:
             raise DimensionError(
                 f"at must be (z ({self.order},), p (3,)), got {z.shape}, {p.shape}"
             )
-        _check_point(z, p)
+        check_point(z, p)
         return z, p
 
     def _equilibrium(self, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -330,66 +332,9 @@ class ClosedLoop:
         )
 
 
-def _check_point(z: np.ndarray, p: np.ndarray) -> None:
+def check_point(z: np.ndarray, p: np.ndarray) -> None:
+    """Refuse a start without a heading, or one that holds NaN or inf."""
     if not (np.all(np.isfinite(z)) and np.all(np.isfinite(p))):
         raise DataError("z or p holds NaN or inf")
     if np.hypot(p[0], p[1]) < 1e-150:  # its square is no double
         raise DataError("p is normal to the substrate or zero: it has no heading")
-
-
-def closed_loop(
-    model: LatentModel,
-    *,
-    controller: PolarityLaw | None = None,
-    sensor: StiffnessSensor | None = None,
-    normalise: bool = True,
-    z0: np.ndarray | None = None,
-    p0: np.ndarray | None = None,
-) -> ClosedLoop | ScheduledLoop:
-    """Join a reduced plant, the polarity law and the sensor.
-
-    An `EquivariantModel` gives a `ScheduledLoop`, whose plant follows its clock.
-
-    Parameters
-    ----------
-    model : LatentModel
-        With heading features as inputs.
-    controller : PolarityLaw, optional
-        Default kappa = 1/60 1/s.
-    sensor : StiffnessSensor, optional
-        Default the model's own.
-    normalise : bool
-        Scale d to unit length (default).
-    z0, p0 : array (m,), (3,), optional
-        Start; default the model's start and a heading of 0 degrees.
-
-    Raises
-    ------
-    ParameterError, DimensionError
-        When the model has no sensor, or inputs that are not heading features of one cell.
-    """
-    sensor = model.sensor if sensor is None else sensor
-    if not hasattr(sensor, "S_d"):
-        had = "the model has no sensor" if sensor is None else f"got {type(sensor).__name__}"
-        raise ParameterError(f"{had}; sensor must be a StiffnessSensor: fit one or pass sensor=")
-    if sensor.S_d.shape[1] != model.order:
-        raise DimensionError(
-            f"the sensor reads {sensor.S_d.shape[1]} latent states, the model has {model.order}"
-        )
-    names = model.input_names
-    owners = {n.rpartition(".")[0] for n in names}
-    if not names or any(harmonic(n) is None for n in names) or len(owners) > 1:
-        raise ParameterError(
-            "closed_loop needs a model whose inputs are heading features of one cell "
-            f"(amplitude, cos, sin, cos2, sin2, ...), got {list(names)}"
-        )
-    if z0 is None:
-        z0 = model.z_start if model.z_start is not None else np.zeros(model.order)
-    p0 = np.array([1.0, 0.0, 0.0]) if p0 is None else np.asarray(p0, dtype=float)
-    z0 = np.asarray(z0, dtype=float)
-    if z0.shape != (model.order,) or p0.shape != (3,):
-        raise DimensionError(f"z0 must be ({model.order},) and p0 (3,), got {z0.shape}, {p0.shape}")
-    _check_point(z0, p0)
-    if isinstance(model, EquivariantModel):
-        return ScheduledLoop(model, controller or PolarityLaw(), sensor, z0, p0)
-    return ClosedLoop(model, controller or PolarityLaw(), sensor, normalise, z0, p0)

@@ -11,10 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.laws.lamellipodium import protrusion
+from cellsys.units import real_array
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class MPol:
     """Table of input directions, one column per degree.
@@ -31,7 +34,7 @@ class MPol:
     lookup: str = "interpolate"
 
     def __post_init__(self) -> None:
-        table = np.array(self.table, dtype=float)
+        table = real_array(self.table, "table").copy()
         if table.ndim != 2 or table.shape[1] != 360 or table.shape[0] % 3:
             raise DimensionError(f"M_pol must be (3 n, 360), got {table.shape}")
         if not np.all(np.isfinite(table)):

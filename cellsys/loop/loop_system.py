@@ -6,15 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
-from cellsys.errors import DimensionError
 from cellsys.integrate.semilinear import Semilinear
-from cellsys.integrate.sensitivities import ParametricSystem
-from cellsys.laws.arrays import operations
 from cellsys.laws.polarity import heading_rows, rate_rows
-from cellsys.laws.polarity import rate as polarity_rate
-from cellsys.system import Block, Layout, OdeSystem, SymbolicForm
+from cellsys.system import OdeSystem, SymbolicForm
 
 _NAMES = ("cos", "sin", "cos2", "sin2", "amplitude")
 
@@ -150,50 +145,3 @@ class LoopCopies(OdeSystem):
             kept.__dict__["modal"], kept.__dict__["tables"] = form.modal, form.tables
             self.__dict__["_form"] = kept
         return kept
-
-
-def loop_copies(loop: Any, z0: np.ndarray, p0: np.ndarray) -> LoopCopies:
-    """The system of K cells with one loop each, from z0 (K, m) and p0 (K, 3).
-
-    Raises
-    ------
-    DimensionError
-        When z0 and p0 do not fit the loop.
-    """
-    z0, p0 = np.asarray(z0, dtype=float), np.asarray(p0, dtype=float)
-    K, m = len(z0), loop.order
-    if z0.shape != (K, m) or p0.shape != (K, 3) or not K:
-        raise DimensionError(f"z0 must be (K, {m}) and p0 (K, 3), got {z0.shape}, {p0.shape}")
-    A = loop.model.continuous_matrices()[0]
-    system = LoopCopies(
-        states=Layout([Block("z", (K, m)), Block("p", (K, 3), "1", "controller", "internal")]),
-        x0=np.concatenate([z0.ravel(), p0.ravel()]),
-        W_x=sp.block_diag([*[A] * K, sp.csr_array((3 * K, 3 * K))], format="csr"),
-    )
-    system.__dict__["loop"], system.__dict__["cells"] = loop, K
-    return system
-
-
-def parametric_loop(loop: Any) -> ParametricSystem:
-    """The loop with its gain `kappa` (1/s) and a factor `force` on its commands as parameters.
-
-    For `cs.sensitivities`: d trajectory/d kappa, d trajectory/d force.
-    """
-    A, B, b = loop.model.continuous_matrices()
-    m = loop.order
-
-    def rate(t: Any, x: Any, p: Any) -> Any:
-        z, heading = x[:m], x[m:]
-        turn = polarity_rate(heading, loop.sensed(z), p["kappa"])
-        push = p["force"] * (B @ loop.commands(heading)) + b
-        return operations(x).concatenate([push, turn])
-
-    W = np.zeros((m + 3, m + 3))
-    W[:m, :m] = A
-    return ParametricSystem(
-        states=loop.system.states,
-        x0=loop.system.x0,
-        W_x=W,
-        rate=rate,
-        parameters={"kappa": loop.controller.kappa, "force": 1.0},
-    )

@@ -7,17 +7,21 @@ from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.kinds import Seed
 from cellsys.laws.arrays import is_symbolic
 from cellsys.laws.polarity import exact_step, rate
 from cellsys.units import real_array, real_number
 
 
+@checked
 @dataclass(frozen=True)
 class Stay:
     """p = -d is an equilibrium of the law: stay there."""
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Perturb:
     """Leave p near -d by a small turn in the substrate plane, its side drawn from a seed.
@@ -34,7 +38,7 @@ class Perturb:
 
     angle: float = 0.01
     within: float = -0.999
-    seed: int = 0
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
         if not 0 < self.angle < np.pi:
@@ -43,6 +47,7 @@ class Perturb:
             raise ParameterError(f"Perturb.within must be in [-1, 1], got {self.within!r}")
 
 
+@checked
 @dataclass(frozen=True)
 class PolarityLaw:
     """dp/dt = kappa p x (d x p)                                          [thesis eq. 72]

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
+from cellsys.contracts import Integrator
 from cellsys.errors import DataError, ParameterError
 from cellsys.integrate.estimate import estimate_by
 from cellsys.loop.loop_system import model_error
@@ -29,6 +31,7 @@ from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class ScheduledLoop:
     """Equivariant plant, controller and sensor joined.
@@ -55,7 +58,11 @@ class ScheduledLoop:
         return self.model.order
 
     def simulate(
-        self, t: np.ndarray, integrator: Any = None, *, amplitude: float | np.ndarray = 1.0
+        self,
+        t: np.ndarray,
+        integrator: Integrator | None = None,
+        *,
+        amplitude: float | np.ndarray = 1.0,
     ) -> Trajectory:
         """Run the loop from contact; samples at `t` (s, multiples of the model's step).
 
@@ -203,7 +210,7 @@ class ScheduledLoop:
 
         A sensor that reads the network is taken linear about z (default: the start).
         """
-        from cellsys.loop.closed_loop import closed_loop
+        from cellsys.loop.join import closed_loop
 
         plain, sensor = replace(self.model.at(t), z_start=self.z0), self.sensor
         if isinstance(sensor, LocalSensor):

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 
 
+@checked
 @dataclass(frozen=True)
 class History:
     """Piecewise linear function of time, constant before the first and after the last knot.
@@ -58,6 +60,7 @@ class History:
         return np.diff(area[np.searchsorted(knots, t)]) / np.diff(t)
 
 
+@checked
 @dataclass(frozen=True)
 class Commands:
     """What is prescribed to a cell instead of, or on top of, its polarity loop.

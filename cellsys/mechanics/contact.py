@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, ParameterError
 from cellsys.mechanics.geometry.surface import Mesh, Surface, contour, convex_triangles, gap
 from cellsys.mechanics.spreading import SpreadingSystem
@@ -86,6 +87,7 @@ def _pair(run: Trajectory, first: str, second: str) -> tuple[Outline, Outline]:
     return a, b
 
 
+@checked
 def edge_gap(run: Trajectory, first: str = "cell1", second: str = "cell2") -> np.ndarray:
     """Least distance of the membranes of two cells (T,), um; negative where they overlap.
 
@@ -138,6 +140,7 @@ def touching(system: SpreadingSystem) -> Callable[[float, np.ndarray], bool]:
     return until
 
 
+@checked
 def until_contact(run: Trajectory, gap: float = 0.0) -> Trajectory:
     """The run up to the first contact of two cells, which becomes its last event.
 

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError, SceneError
 from cellsys.mechanics import crawler_kernels as kernels
 from cellsys.mechanics.geometry.chain import MOST, Chain
@@ -55,6 +56,7 @@ _CELL_AUXILIARIES = (
 )
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Crawler:
     """Parameters and start of one 1-D cell.
@@ -139,6 +141,7 @@ class Crawler:
         ]  # fmt: skip
 
 
+@checked
 def build_crawlers(cells: Sequence[Crawler], chain: Chain | None = None) -> CrawlerSystem:
     """One or several crawling cells on one chain.
 
@@ -150,6 +153,7 @@ def build_crawlers(cells: Sequence[Crawler], chain: Chain | None = None) -> Craw
     return CrawlerSystem(tuple(cells), chain if chain is not None else Chain())
 
 
+@checked
 class CrawlerSystem(OdeSystem):
     """Cells on a chain: states of thesis eq. 37, then the held nodes [45].
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from cellsys.arguments import checked
+from cellsys.contracts import Integrator
 from cellsys.drawable import Drawable
 from cellsys.errors import IntegrationError
 from cellsys.integrate.simulate import simulate
@@ -19,6 +21,7 @@ QUIET_STEPS = 5.0  # and at least this many of the run's own intervals
 CHATTER = 1e-3  # intervals below this share of the median one are chatter
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class CrawlRun(Drawable):
     """A crawler's run and its outcome.
@@ -54,8 +57,9 @@ class CrawlRun(Drawable):
         return f"crawler {self.outcome}{reason} ({n} switches{chatter})"
 
 
+@checked
 def crawl(
-    system: CrawlerSystem, integrator: Any, t: np.ndarray, x0: np.ndarray | None = None
+    system: CrawlerSystem, integrator: Integrator, t: np.ndarray, x0: np.ndarray | None = None
 ) -> CrawlRun:
     """Simulate a crawler and name the outcome.
 

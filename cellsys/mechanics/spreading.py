@@ -10,6 +10,7 @@ absent has no block, no state and no cost [notes: mechanics, equation of motion]
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -29,7 +30,8 @@ from cellsys.mechanics.effects.protocol import (
 from cellsys.mechanics.geometry.disc import Disc
 from cellsys.mechanics.junctions import junction_graph, product
 from cellsys.mechanics.tangent import combine
-from cellsys.system import Block, Event, Layout, MajorantBlock, OverdampedSystem, RankOne
+from cellsys.overdamped import MajorantBlock, OverdampedSystem, RankOne
+from cellsys.system import Block, Event, Layout
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,8 @@ class SpreadingSystem(OverdampedSystem):
     internal states. Linear laws (foundation) stay in eta too: the log holds interval averages,
     and the average of a linear law is no function of x_k.
     """
+
+    _made_by: ClassVar[str] = "cs.build(scene) of a scene on a disc"
 
     def __init__(
         self,

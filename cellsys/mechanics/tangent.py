@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.mechanics.effects.protocol import Stiffness
-from cellsys.system import MajorantBlock
+from cellsys.overdamped import MajorantBlock
 
 
 def laplacian(n: int, edges: np.ndarray, weight: np.ndarray) -> sp.csc_array:

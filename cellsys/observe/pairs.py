@@ -10,20 +10,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
-from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.kinds import Count
 from cellsys.mechanics.contact import edge_gap, gap_at, until_contact
 from cellsys.observe.spreading import contact_radius, node_speed
+from cellsys.scene.scene import Scene
 from cellsys.system import Layout
 from cellsys.trajectory import Trajectory
+from cellsys.units import shaped_array
 
 CLOSE = 40.0  # um between the edges: cells farther apart are not read as a pair
 RIM = 0.87  # share of the matrix radius beyond which the clamped edge is felt
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class PairReadout:
     """What two cells do to each other's matrix, beside one cell alone.
@@ -75,6 +79,7 @@ class PairReadout:
         )
 
 
+@checked
 def pair_regions(
     run: Trajectory, rest: np.ndarray, first: str = "cell1", second: str = "cell2"
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -88,7 +93,7 @@ def pair_regions(
     -------
     gap, periphery : bool arrays (T, N)
     """
-    rest = np.asarray(rest, float)[:, :2]
+    rest = shaped_array(rest, "rest", (None, 3))[:, :2]
     a, b = run.block(f"{first}.position"), run.block(f"{second}.position")
     radius = np.hypot(*rest.T)
     inside = radius < RIM * radius.max()
@@ -112,6 +117,7 @@ def pair_regions(
     return np.array(gap), np.array(periphery)
 
 
+@checked
 def observe_pair(
     run: Trajectory, alone: Sequence[Trajectory], rest: np.ndarray
 ) -> PairReadout:
@@ -133,7 +139,7 @@ def observe_pair(
     """
     if not alone:
         raise DataError("a pair is read beside its one-cell controls; run alone_scenes(scene)")
-    T = len(run)
+    rest, T = shaped_array(rest, "rest", (None, 3)), len(run)
     speeds = [1e3 * node_speed(run, "matrix.displacement")]
     for single in alone:
         if len(single) < T or not np.allclose(single.t[:T], run.t):
@@ -160,6 +166,7 @@ def observe_pair(
     )
 
 
+@checked
 def speed_against_spacing(readouts: Sequence[PairReadout]) -> np.ndarray:
     """Rows (start gap um, gap speed, one-cell control; nm/s) of several pairs, by spacing."""
     rows = [
@@ -168,6 +175,7 @@ def speed_against_spacing(readouts: Sequence[PairReadout]) -> np.ndarray:
     return np.array(sorted(rows), dtype=float).reshape(-1, 3)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Attenuation:
     """How a matrix displacement decays away from a cell: u ~ exp(-r/length).
@@ -191,8 +199,9 @@ class Attenuation:
         return f"attenuation length {self.length:.1f} um (residual of the log {self.residual:.2f})"
 
 
+@checked
 def attenuation_length(
-    run: Trajectory, rest: np.ndarray, *, cell: str = "cell1", sample: int = -1, bins: int = 12
+    run: Trajectory, rest: np.ndarray, *, cell: str = "cell1", sample: int = -1, bins: Count = 12
 ) -> Attenuation:
     """Attenuation length of the matrix around one cell, by a straight line through the logarithm.
 
@@ -214,9 +223,11 @@ def attenuation_length(
         Fewer than three rings hold nodes that move by more than the error of the run
         (`Trajectory.error_of`), or nothing decays.
     """
+    if not -len(run) <= sample < len(run):
+        raise ParameterError(f"sample must be one of the run's {len(run)}, got {sample}")
     x = run.block(f"{cell}.position")[sample]
     u = np.linalg.norm(run.block("matrix.displacement")[sample], axis=1)
-    rest = np.asarray(rest, float)
+    rest = shaped_array(rest, "rest", (None, 3))
     if len(rest) != len(u):
         raise DimensionError(f"rest must hold {len(u)} nodes, got {len(rest)}")
     centre = x[:, :2].mean(axis=0)
@@ -251,6 +262,7 @@ def attenuation_length(
     return Attenuation(float(-1.0 / slope), radius, rms, float(np.sqrt(np.mean(left**2))))
 
 
+@checked
 def pair_of(run: Trajectory, i: int, j: int) -> Trajectory:
     """Cells i and j (from 0) of a run as cell1 and cell2, with the matrix and nothing else."""
     names = [f"cell{i + 1}.position", f"cell{j + 1}.position", "matrix.displacement"]
@@ -267,6 +279,7 @@ def pair_of(run: Trajectory, i: int, j: int) -> Trajectory:
     return Trajectory(run.t, x, Layout(blocks), geometry=geometry)
 
 
+@checked
 def observe_neighbours(
     run: Trajectory, alone: Sequence[Trajectory], rest: np.ndarray, within: float = CLOSE
 ) -> dict[tuple[int, int], PairReadout]:
@@ -285,7 +298,8 @@ def observe_neighbours(
     return found
 
 
-def alone_scenes(scene: Any) -> list[Any]:
+@checked
+def alone_scenes(scene: Scene) -> list[Scene]:
     """The one-cell controls of a scene: each of its cells alone, at its place, same matrix."""
     if len(scene.cells) < 2:
         raise ParameterError("a one-cell control needs a scene of at least two cells")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.observe.headings import heading_change_deg
 from cellsys.observe.spreading import centre_height, contact_radius, crawl_distance
 from cellsys.trajectory import Trajectory, cell_names
 
 
+@checked
 def read_outs(run: Trajectory) -> dict[str, float]:
     """Means over the cells of a run; what a run does not have is left out.
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError
 from cellsys.trajectory import Trajectory
+from cellsys.units import shaped_array
 
 CONTACT_HEIGHT = 1.0  # um: nodes below this count as in contact
 
 
+@checked
 def node_speed(run: Trajectory, block: str) -> np.ndarray:
     """Speed of every node in every sampling interval (T - 1, n), um/s."""
     x = run.block(block)
@@ -18,8 +21,10 @@ def node_speed(run: Trajectory, block: str) -> np.ndarray:
     return np.linalg.norm(np.diff(x, axis=0), axis=2) / np.diff(run.t)[:, None]
 
 
+@checked
 def contact_radius(position: np.ndarray) -> float:
     """Largest horizontal distance from the centroid of a node in contact, um; 0 without one."""
+    position = shaped_array(position, "position", (None, 3))
     low = position[:, 2] < CONTACT_HEIGHT
     if not low.any():
         return 0.0
@@ -42,6 +47,7 @@ def centre_height(position: np.ndarray) -> float:
     return float(np.asarray(position)[:, 2].mean())
 
 
+@checked
 def summary_of_run(
     run: Trajectory, rest: np.ndarray | None = None, cell: str = "cell1"
 ) -> dict[str, float]:
@@ -77,6 +83,7 @@ def summary_of_run(
     if rest is None or "matrix.displacement" not in run.states:
         return out
     speed = 1e3 * node_speed(run, "matrix.displacement")
+    rest = shaped_array(rest, "rest", run.states["matrix.displacement"].shape)
     r = np.hypot(rest[:, 0], rest[:, 1])
     off = np.hypot(rest[None, :, 0] - centre[:-1, None, 0], rest[None, :, 1] - centre[:-1, None, 1])
     under = off < np.array([contact_radius(p) for p in x[:-1]])[:, None]

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -16,16 +17,20 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import Integrator
 from cellsys.drawable import Drawable
 from cellsys.errors import BudgetError
+from cellsys.loop import ClosedLoop
 from cellsys.population.certainty import block_certainty
 from cellsys.population.dense import dense_block
-from cellsys.population.forms import Block, eigenvalues_of_N
+from cellsys.population.forms import Block, Form, eigenvalues_of_N
 from cellsys.population.graph import InteractionGraph
 from cellsys.population.maps import field_rows
 from cellsys.population.modes import Modes, modes_of
 from cellsys.population.poleset import PoleSet, pole_set
 from cellsys.population.split import FieldSplit, field_split
+from cellsys.reduction import LatentModel
 from cellsys.response.certainty import PoleCertainty
 
 DENSE_LIMIT = 4000
@@ -33,6 +38,7 @@ POLE_LIMIT = 1_000_000
 _STIFF = 1e-3  # smallest 1 - lambda for which the printed form loses less than 1e-10 to rounding
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class CoupledCells(Drawable):
     """K identical cells coupled through the rows of V that belong to the matrix.
@@ -55,13 +61,13 @@ class CoupledCells(Drawable):
         Controller and sensor of every cell; None when the model has no headings or no sensor.
     """
 
-    model: Any
+    model: LatentModel
     n_cells: int
-    coupling: Any
+    coupling: Form
     graph: InteractionGraph | None
     positions: np.ndarray | None
     headings: np.ndarray | None
-    loop: Any
+    loop: ClosedLoop | None
 
     _figure: ClassVar[str] = "coupled_cells"
 
@@ -340,11 +346,11 @@ class CoupledCells(Drawable):
     def simulate(
         self,
         t: np.ndarray,
-        integrator: Any = None,
+        integrator: Integrator | None = None,
         *,
         z0: np.ndarray | None = None,
         p0: np.ndarray | None = None,
-        progress: Any = None,
+        progress: Callable[[float], None] | None = None,
     ) -> Any:
         """Run all cells, each with its own polarity controller and sensor.
 

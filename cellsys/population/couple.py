@@ -6,27 +6,34 @@ from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import DimensionError, ParameterError
+from cellsys.loop import PolarityLaw
 from cellsys.population.cells import CoupledCells
-from cellsys.population.forms import Superposition, check_form
+from cellsys.population.field_sensor import FieldSensor
+from cellsys.population.forms import Form, Superposition
 from cellsys.population.graph import InteractionGraph, check_positions
 from cellsys.population.headings import loop_of
+from cellsys.population.load_ports import LoadPorts
 from cellsys.population.maps import basis_of, field_rows
+from cellsys.population.ports import CellPort
+from cellsys.reduction import LatentModel, StiffnessSensor
 from cellsys.units import real_array
 
 MOST_CELLS = 10**15  # counts of poles stay whole numbers in 64 bits
 
 
+@checked
 def couple(
-    model: Any,
+    model: LatentModel | CellPort,
     n_cells: int | None = None,
-    coupling: Any = None,
+    coupling: Form | LoadPorts | None = None,
     *,
     graph: InteractionGraph | np.ndarray | None = None,
     positions: np.ndarray | None = None,
     headings: np.ndarray | None = None,
-    controller: Any = None,
-    sensor: Any = None,
+    controller: PolarityLaw | None = None,
+    sensor: StiffnessSensor | FieldSensor | None = None,
     normalise: bool = True,
 ) -> Any:
     """K copies of one cell on one matrix.
@@ -81,7 +88,6 @@ def couple(
         return coupling.assemble_cells(
             model, sizes, controller=controller, sensor=sensor, normalise=normalise
         )
-    check_form(coupling)
     if not sizes:
         raise ParameterError("couple needs n_cells=, or a graph, positions or headings of K cells")
     if len(set(sizes.values())) > 1:

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
+from cellsys.contracts import MatrixField
 from cellsys.errors import ParameterError
 from cellsys.laws.sensing import nodal_sum, sensed_direction
 from cellsys.reduction.local_sensor import INNER, REACH, LocalSensor
@@ -20,6 +22,7 @@ from cellsys.reduction.local_sensor import INNER, REACH, LocalSensor
 MEASURES = ("stiffness", "stress")
 
 
+@checked
 @dataclass(frozen=True)
 class FieldSensor:
     """Reads the direction that the full-order model would sense in the reduced field.
@@ -59,7 +62,7 @@ class FieldSensor:
         return cls(effect.measure, effect.reach, effect.inner, effect.threshold)
 
     def directions(
-        self, field: Any, q: np.ndarray, places: np.ndarray, p: np.ndarray
+        self, field: MatrixField, q: np.ndarray, places: np.ndarray, p: np.ndarray
     ) -> np.ndarray:
         """Unit directions (K, 3) sensed at places (K, 2), um, by cells of polarities p (K, 3).
 

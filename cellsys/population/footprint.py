@@ -12,9 +12,13 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import MatrixField
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.units import real_array
 
 
+@checked
 @dataclass(frozen=True)
 class PatchPort:
     """Total force of a cell on the nodes within `radius` of its place, weight 1 - (r/radius)^2.
@@ -44,7 +48,7 @@ class PatchPort:
         """Number of load coordinates."""
         return self.components
 
-    def gather(self, field: Any, position: np.ndarray, heading: float) -> np.ndarray:
+    def gather(self, field: MatrixField, position: np.ndarray, heading: float) -> np.ndarray:
         """E (components, order) at a place; ParameterError when no node lies under it."""
         surface = np.asarray(field.surface)
         offset = np.asarray(field.nodes)[surface, :2] - np.asarray(position)[:2]
@@ -68,6 +72,7 @@ class PatchPort:
         return turn @ E
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class LinearField:
     """A linear elastic matrix in nodal coordinates: C q' = -K q + load.
@@ -87,7 +92,8 @@ class LinearField:
     drag: float = 1.0
 
     def __post_init__(self) -> None:
-        nodes, K = np.array(self.nodes, float), np.array(self.stiffness, float)
+        nodes = real_array(self.nodes, "nodes").copy()
+        K = real_array(self.stiffness, "stiffness").copy()
         if nodes.ndim != 2 or nodes.shape[1] != 3 or K.shape != (nodes.size, nodes.size):
             raise DimensionError(
                 f"nodes must be (n, 3) and stiffness (3 n, 3 n), got {nodes.shape}, {K.shape}"

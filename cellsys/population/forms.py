@@ -14,11 +14,13 @@ on those dropped, and M = T^-1 (I + omega R P) A there. For R = I that is A itse
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.population.maps import ForceMap
 from cellsys.population.split import DOUBTFUL, EPS, FieldSplit
@@ -93,7 +95,7 @@ def eigenvalues_of_N(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Form:
+class PrintedForm:
     """Shared by the forms that need rows of V.
 
     Parameters
@@ -104,7 +106,7 @@ class _Form:
         Absolute tolerance on the singular values of V_alpha; default max(n_alpha, m) eps.
     """
 
-    rows: Any = "field"
+    rows: str | Sequence[int] = "field"
     rank_tol: float | None = None
 
     def extra(self, m: int) -> np.ndarray | None:
@@ -173,8 +175,9 @@ class _Form:
         )
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
-class Superposition(_Form):
+class Superposition(PrintedForm):
     """Superposed isolated fields: block N A N^# [thesis eq. 36].
 
     A similarity transform of isolated cells when I - P is nonsingular: K copies of the poles of
@@ -185,8 +188,9 @@ class Superposition(_Form):
     name = "Superposition"
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
-class MappedSuperposition(_Form):
+class MappedSuperposition(PrintedForm):
     """Superposed isolated fields, answered by adhesion: block (I + omega R P) A N^# [eq. 93].
 
     Parameters
@@ -196,7 +200,7 @@ class MappedSuperposition(_Form):
         rows it was fitted on, in [93] the matrix's forces: ``rows="forces"``.
     """
 
-    P_map: Any
+    P_map: np.ndarray | ForceMap
     name = "MappedSuperposition"
 
     def extra(self, m: int) -> np.ndarray | None:
@@ -218,8 +222,9 @@ class MappedSuperposition(_Form):
             )
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
-class Feedback(_Form):
+class Feedback(PrintedForm):
     """Neighbours' matrix rates as inputs: z_k' = A z_k + sum of R P A z_l over l != k [eq. 57].
 
     Mean block (I + (K - 1) R P) A: its poles grow like K. Stable for every K when R = I and
@@ -231,7 +236,7 @@ class Feedback(_Form):
         Default I; [57] prints I + V^T W C (V^T W)^#, [91] I + P_map.
     """
 
-    R: Any = None
+    R: np.ndarray | ForceMap | None = None
     name = "Feedback"
 
     def extra(self, m: int) -> np.ndarray | None:
@@ -246,10 +251,4 @@ class Feedback(_Form):
         return False
 
 
-def check_form(coupling: Any) -> None:
-    """Refuse what is no coupling."""
-    if not isinstance(coupling, _Form):
-        raise ParameterError(
-            "coupling must be Superposition(), MappedSuperposition(P_map=...), Feedback() or "
-            f"LoadPorts(...), got {type(coupling).__name__}"
-        )
+Form = Annotated[PrintedForm, "Superposition(), MappedSuperposition(P_map=...) or Feedback()"]

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy.linalg as sla
 import scipy.sparse as sp
 
+from cellsys.arguments import checked
 from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
+from cellsys.kinds import Takes
 from cellsys.store.memory import size_text
+from cellsys.system import Matrix
 from cellsys.units import real_array
 
 _DENSE_BYTES = 4e9
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class InteractionGraph:
     """Weights w_kl >= 0 or < 0 with which cell k receives the field of cell l; w_kk = 0.
@@ -32,7 +36,7 @@ class InteractionGraph:
         Not square, NaN, or a diagonal that is not zero.
     """
 
-    weights: Any
+    weights: Annotated[Any, Takes(Matrix)]
 
     def __post_init__(self) -> None:
         w = self.weights

@@ -19,8 +19,12 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import Integrator, LoadPort, MatrixField
 from cellsys.drawable import Drawable
 from cellsys.errors import BudgetError, DimensionError, ParameterError, RepresentationError
+from cellsys.loop import PolarityLaw
+from cellsys.population.field_sensor import FieldSensor
 from cellsys.population.footprint import (
     FieldPassivity,
     PatchPort,
@@ -31,10 +35,13 @@ from cellsys.population.graph import check_positions
 from cellsys.population.poleset import PoleSet, pole_set
 from cellsys.population.ports import CellPort, PortPassivity
 from cellsys.population.verdict import CoupledStability, judge
+from cellsys.reduction import LatentModel, StiffnessSensor
+from cellsys.units import real_array
 
 DENSE_LIMIT = 4000
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class LoadPorts:
     """Coupling of K cells by loads on one shared field.
@@ -54,34 +61,28 @@ class LoadPorts:
         Compute with a port of passivity index below -1e-10 instead of refusing it.
     """
 
-    field: Any
+    field: MatrixField
     positions: np.ndarray
     headings: np.ndarray | None = None
-    port: Any = None
+    port: LoadPort | None = None
     allow_active: bool = False
     name: ClassVar[str] = "LoadPorts"
 
     def __post_init__(self) -> None:
         x = check_positions(self.positions)
-        theta = np.zeros(len(x)) if self.headings is None else np.asarray(self.headings, float)
+        theta = np.zeros(len(x)) if self.headings is None else real_array(self.headings, "headings")
         if theta.shape != (len(x),) or not np.all(np.isfinite(theta)):
             raise DimensionError(f"headings must be {len(x)} finite angles in rad")
-        for needed in ("order", "drag", "stiffness", "nodes", "surface", "project"):
-            if not hasattr(self.field, needed):
-                raise ParameterError(
-                    f"field of LoadPorts has no {needed}; give a GalerkinField, a full field or a "
-                    "LinearField"
-                )
         object.__setattr__(self, "positions", x)
         object.__setattr__(self, "headings", theta)
 
     def assemble_cells(
         self,
-        model: Any,
+        model: LatentModel | CellPort,
         sizes: dict[str, int],
         *,
-        controller: Any = None,
-        sensor: Any = None,
+        controller: PolarityLaw | None = None,
+        sensor: StiffnessSensor | FieldSensor | None = None,
         normalise: bool = True,
     ) -> Any:
         """Put cells at the ports; called by `couple`."""
@@ -163,6 +164,7 @@ class PortCertificate:
         return f"{self.cell}; {self.field}"
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class PortedCells(Drawable):
     """K cells on one field, linear. Made by `couple(port, coupling=LoadPorts(...))`.
@@ -176,7 +178,7 @@ class PortedCells(Drawable):
 
     model: CellPort
     coupling: LoadPorts
-    controller: Any = None
+    controller: PolarityLaw | None = None
     normalise: bool = True
 
     _figure: ClassVar[str] = "coupled_cells"
@@ -372,7 +374,7 @@ class PortedCells(Drawable):
     def simulate(
         self,
         t: np.ndarray,
-        integrator: Any = None,
+        integrator: Integrator | None = None,
         *,
         z0: np.ndarray | None = None,
         p0: np.ndarray | None = None,

@@ -18,7 +18,9 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError, RepresentationError
+from cellsys.reduction import LatentModel
 
 _ORTHONORMAL = 1e-8  # |V^T V - I| up to which the split P + V_alpha^T V_alpha = I is meant to hold
 
@@ -84,7 +86,8 @@ def other_rows(model: Any, rows: np.ndarray, what: str) -> np.ndarray:
     return V[mask]
 
 
-def P_phi(model: Any, rows: str | Sequence[int] = "field") -> np.ndarray:
+@checked
+def P_phi(model: LatentModel, rows: str | Sequence[int] = "field") -> np.ndarray:
     """P_phi = V_phi^T V_phi (m, m) of the matrix rows [thesis eq. 29].
 
     Raises
@@ -96,13 +99,17 @@ def P_phi(model: Any, rows: str | Sequence[int] = "field") -> np.ndarray:
     return V_phi.T @ V_phi
 
 
-def P_F_phi(model: Any) -> np.ndarray:
+@checked
+def P_F_phi(model: LatentModel) -> np.ndarray:
     """P_Fphi = V_F^T V_F (m, m) of the matrix's force rows, those among the auxiliaries [84]."""
     V_F = basis_of(model, "P_F_phi")[field_rows(model, "forces", "P_F_phi")]
     return V_F.T @ V_F
 
 
-def P_c(model: Any, rows: Sequence[int] | None = None, *, order: str = "node") -> np.ndarray:
+@checked
+def P_c(
+    model: LatentModel, rows: Sequence[int] | None = None, *, order: str = "node"
+) -> np.ndarray:
     """P_c = V_c^T kron(ones(n, n)/n, I_3) V_c: the latent state of the cell's centre [84].
 
     ``ones(n, n)`` alone, as printed, would mix x, y and z of the nodes.
@@ -133,6 +140,7 @@ def P_c(model: Any, rows: Sequence[int] | None = None, *, order: str = "node") -
     return total.T @ total / n
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class ForceMap:
     """P_map with what the fit left over.
@@ -159,8 +167,9 @@ class ForceMap:
     rows: np.ndarray
 
 
+@checked
 def fit_P_map(
-    model: Any,
+    model: LatentModel,
     latent: np.ndarray,
     *,
     cell_rows: Sequence[int] | None = None,

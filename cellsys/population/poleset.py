@@ -7,9 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class PoleSet(Drawable):
     """Poles of a coupled system, each block's once.

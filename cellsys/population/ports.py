@@ -10,17 +10,20 @@ the same coordinates, so that f.y is the power the matrix gains.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.reduction import StiffnessSensor
+from cellsys.units import real_array
 
 ACTIVE = -1e-10  # a port below counts as active [notes: theory, passivity]
 _RESIDUAL = 1e-10
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class CellPort:
     """A linear cell with a load port.
@@ -58,26 +61,29 @@ class CellPort:
     metric: np.ndarray | None = None
     dt: float | None = None
     input_names: tuple[str, ...] | None = None
-    sensor: Any = None
+    sensor: StiffnessSensor | None = None
     z_start: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        A, F = np.atleast_2d(np.array(self.A, float)), np.atleast_2d(np.array(self.F, float))
+        A, F = (np.atleast_2d(real_array(getattr(self, k), k).copy()) for k in "AF")
         m, n = len(A), len(F)
         values = {
             "A": (A, (m, m)),
             "F": (F, (n, m)),
-            "C": (np.zeros((m, n)) if self.C is None else np.array(self.C, float), (m, n)),
+            "C": (np.zeros((m, n)) if self.C is None else real_array(self.C, "C").copy(), (m, n)),
             "offset": (
-                np.zeros(m) if self.offset is None else np.array(self.offset, float),
+                np.zeros(m) if self.offset is None else real_array(self.offset, "offset").copy(),
                 (m,),
             ),
-            "metric": (np.eye(m) if self.metric is None else np.array(self.metric, float), (m, m)),
+            "metric": (
+                np.eye(m) if self.metric is None else real_array(self.metric, "metric").copy(),
+                (m, m),
+            ),
         }
-        B = np.zeros((m, 0)) if self.B is None else np.array(self.B, float)
+        B = np.zeros((m, 0)) if self.B is None else np.atleast_1d(real_array(self.B, "B").copy())
         values["B"] = (B, (m, B.shape[-1]))
         if self.z_start is not None:
-            values["z_start"] = (np.array(self.z_start, float), (m,))
+            values["z_start"] = (real_array(self.z_start, "z_start").copy(), (m,))
         for name, (value, shape) in values.items():
             if value.shape != shape:
                 raise DimensionError(f"{name} must have shape {shape}, got {value.shape}")
@@ -220,6 +226,7 @@ class CellPort:
         return float(least[i] / gain.max()) if gain.max() > 0 else 0.0, float(grid[i])
 
 
+@checked
 @dataclass(frozen=True)
 class PortPassivity:
     """Passivity of a cell's port.

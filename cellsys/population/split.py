@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.population.maps import other_rows
 
@@ -22,6 +23,7 @@ EPS = float(np.finfo(float).eps)
 DOUBTFUL = 1e-7  # below, data do not decide [notes: theory, rank decision]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class FieldSplit:
     """Latent directions ordered from all cell to all matrix.

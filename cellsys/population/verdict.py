@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.population.poleset import PoleSet
 from cellsys.response.certainty import PoleCertainty, side, widened
@@ -16,6 +17,7 @@ from cellsys.response.realization import balancing
 from cellsys.response.spectrum import backward_error, spectrum
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class CoupledStability(Drawable):
     """What can be said about K coupled cells.

@@ -8,6 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from cellsys.arguments import checked
+from cellsys.contracts import ReducedModel
 from cellsys.errors import IntegrationError
 from cellsys.reduction.baselines import command_baselines
 from cellsys.reduction.card import Card, resolution, verdict
@@ -252,8 +254,9 @@ def encode_all(
     return Encoded.of(model, data, data), held
 
 
+@checked
 def assess(
-    model: LatentModel,
+    model: ReducedModel,
     data: Snapshots,
     test: Snapshots | None = None,
     encoded: tuple[Encoded, Encoded | None] | None = None,

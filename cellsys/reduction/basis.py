@@ -13,17 +13,21 @@ from numbers import Integral
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError, RankError
+from cellsys.kinds import Seed
 from cellsys.reduction.snapshots import Snapshots
 
 _EXACT_SIZE = 4e6  # entries up to which the exact SVD is the default
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class ExactSVD:
     """LAPACK's SVD of all snapshots in memory."""
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class RandomisedSVD:
     """Randomised block Krylov method, streamed (Musco & Musco 2015).
@@ -45,13 +49,14 @@ class RandomisedSVD:
 
     oversample: int = 20
     power: int = 2
-    seed: int = 0
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
         if self.oversample < 1 or self.power < 0:
             raise ParameterError("RandomisedSVD needs oversample >= 1 and power >= 0")
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Basis:
     """V (columns, m) orthonormal, singular values, mean (columns,) and scale (columns,).
@@ -142,6 +147,7 @@ def check_order(order: int) -> None:
         raise ParameterError(f"order must be a whole number >= 1, got {order!r}")
 
 
+@checked
 def fit_basis(
     data: Snapshots,
     order: int,

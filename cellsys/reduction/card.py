@@ -15,9 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
+
 DIVERGED = 1e6  # a relative error beyond this is reported as "diverges"
 
 
+@checked
 @dataclass(frozen=True)
 class Card:
     """What a model is worth.

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
+from cellsys.contracts import Reductor
 from cellsys.errors import CellsysError, DataError
 from cellsys.reduction.basis import Basis, fit_basis
 from cellsys.reduction.regression import LatentParts, truncated
@@ -22,9 +23,10 @@ GROUPS = 20
 STRETCHES = 8
 
 
+@checked
 def pole_certainty(
     data: Snapshots,
-    method: Any,
+    method: Reductor,
     order: int,
     basis: Basis | None = None,
     parts: LatentParts | None = None,
@@ -63,7 +65,7 @@ def pole_certainty(
 
 def refits(
     data: Snapshots,
-    method: Any,
+    method: Reductor,
     order: int,
     basis: Basis | None,
     parts: LatentParts | None,

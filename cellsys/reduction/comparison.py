@@ -10,6 +10,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from cellsys.arguments import checked
+from cellsys.contracts import Reductor
 from cellsys.drawable import Drawable
 from cellsys.errors import CellsysError, ParameterError
 from cellsys.reduction.basis import check_order, fit_basis
@@ -26,6 +28,7 @@ from cellsys.reduction.snapshots import Snapshots
 METHODS = (PCR(), LeastSquares(), Ridge(), Contractive())
 
 
+@checked
 @dataclass(frozen=True)
 class ComparedModel:
     """One row: what a model is worth held out, how stable it is, what it costs.
@@ -59,6 +62,7 @@ class ComparedModel:
         return not self.error < DIVERGED
 
 
+@checked
 @dataclass(frozen=True)
 class Comparison(Drawable):
     """Rows of `compare_reductors`, the baselines on the same runs, and the price of the basis."""
@@ -118,11 +122,12 @@ class Comparison(Drawable):
         )
 
 
+@checked
 def compare_reductors(
     train: Snapshots,
     test: Snapshots,
     orders: Sequence[int],
-    methods: Sequence[Any] | None = None,
+    methods: Sequence[Reductor] | None = None,
 ) -> Comparison:
     """Fit every method at every order and measure whole roll-outs of the held-out runs.
 

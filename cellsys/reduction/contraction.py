@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.reduction.model import LatentModel
 
 
+@checked
 @dataclass(frozen=True)
 class Contraction:
     """Certificate of a discrete model: |T A T^-1|_2 < 1 bounds every roll-out.
@@ -37,6 +39,7 @@ class Contraction:
         )
 
 
+@checked
 def contraction(model: LatentModel) -> Contraction:
     """Certificate found from the model's own matrices, so that a loaded model can be checked.
 

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.reduction.assessment import encode_start
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
@@ -22,6 +23,7 @@ LOSSES = ("roll-out", "one-step")
 METRICS = ("fitted", "whitened")
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Contractive:
     """w+ = A w + B c + b with |A|_2 <= 1 - delta in coordinates w = T z, at every order.

@@ -9,14 +9,17 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.regression import LatentParts, input_map, learned_model
 from cellsys.reduction.snapshots import Snapshots
 from cellsys.system import Layout, OdeSystem
+from cellsys.units import real_array
 
 
+@checked
 @dataclass(frozen=True)
 class Jacobian:
     """The full-order model linearised at one state, projected on the states' basis.
@@ -50,7 +53,7 @@ class Jacobian:
     own_basis: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        x = self.system.x0 if self.at is None else np.array(self.at, dtype=float)
+        x = self.system.x0 if self.at is None else real_array(self.at, "at").copy()
         if x.shape != (self.system.states.size,):
             raise DimensionError(f"at must have shape ({self.system.states.size},), got {x.shape}")
         if not np.all(np.isfinite(x)):

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.model import LatentModel
 from cellsys.reduction.regression import (
@@ -19,6 +20,7 @@ from cellsys.reduction.regression import (
 from cellsys.reduction.snapshots import Snapshots
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class LeastSquares:
     """z' ~ A z + B c + b by least squares over one-step forward differences (DMDc).

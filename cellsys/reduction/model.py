@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.errors import (
     DataError,
@@ -37,6 +38,7 @@ def _row_indices(name: str, rows: Sequence[int]) -> np.ndarray:
     return found.astype(int)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class LatentModel(Drawable):
     """A reduced model, continuous or the generator of a step.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, ParameterError
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.model import LatentModel
@@ -20,6 +21,7 @@ from cellsys.reduction.regression import (
 from cellsys.reduction.snapshots import Snapshots
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class PCR:
     """The thesis's A*: structure for the states, regression for the auxiliaries.

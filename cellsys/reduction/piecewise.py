@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, IntegrationError, ParameterError
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
@@ -23,11 +24,13 @@ from cellsys.reduction.snapshots import Snapshots
 from cellsys.reduction.steps import check_roll_out
 from cellsys.response.roots import RootSet
 from cellsys.system import OdeSystem
+from cellsys.units import shaped_array
 
 _SHARP = 25.0  # beta of Rewienski & White: the nearest point weighs most
 _GAMMA = 1.0 + np.sqrt(0.5)  # ROS2: L-stable
 
 
+@checked
 @dataclass(frozen=True)
 class TPWL:
     """Linearisations at several states of a training run, blended by nearness.
@@ -105,6 +108,7 @@ def farthest_points(z: np.ndarray, count: int) -> list[int]:
     return taken
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class PiecewiseModel(Drawable):
     """z' = sum_i w_i(z) (A_i z + b_i) + B c, with the coordinates of a `LatentModel`.
@@ -133,7 +137,7 @@ class PiecewiseModel(Drawable):
     _figure: ClassVar[str] = "latent_model"
 
     def __post_init__(self) -> None:
-        p, m = self.points.shape
+        p, m = shaped_array(self.points, "points", (None, None)).shape
         if self.A.shape != (p, m, m) or self.offset.shape != (p, m) or m != self.frozen.order:
             raise DimensionError(
                 f"{p} points of order {m} need A ({p}, {m}, {m}) and offset ({p}, {m}), got "

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
+from cellsys.contracts import Reductor
 from cellsys.errors import ParameterError
 from cellsys.reduction.assessment import Encoded, assess, encode_all, encode_start
 from cellsys.reduction.basis import Basis, fit_basis
@@ -22,12 +24,13 @@ from cellsys.reduction.validity import TrainedRange
 from cellsys.units import real_number
 
 
+@checked
 def reduce(
     data: Snapshots,
     *,
     order: int | None = None,
     tol: float | None = None,
-    method: Any = None,
+    method: Reductor | None = None,
     test: Snapshots | None = None,
     basis: Basis | None = None,
 ) -> LatentModel:
@@ -89,9 +92,10 @@ def certain(
     return dataclasses.replace(model, refits=found[0], left_out=found[1])
 
 
+@checked
 def reduce_orders(
     data: Snapshots,
-    methods: Sequence[Any],
+    methods: Sequence[Reductor],
     orders: Sequence[int],
     test: Snapshots | None = None,
     basis: Basis | None = None,

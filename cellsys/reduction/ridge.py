@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.model import LatentModel
@@ -16,6 +17,7 @@ from cellsys.reduction.snapshots import Snapshots
 from cellsys.units import real_number
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Ridge:
     """z+ = z + step (A z + B c + b) by ridge regression on z / sd(z) and c / sd(c).

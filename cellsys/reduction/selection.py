@@ -15,15 +15,20 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from cellsys.arguments import checked
+from cellsys.contracts import Reductor
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, ParameterError
+from cellsys.kinds import Seed
 from cellsys.reduction.basis import check_order
 from cellsys.reduction.comparison import described, measured, refuse_shared_runs
+from cellsys.reduction.model import LatentModel
 from cellsys.reduction.reduce import reduce
 from cellsys.reduction.snapshots import Snapshots
 
 
-def grid(method: Any, settings: Mapping[str, Sequence[Any]]) -> list[Any]:
+@checked
+def grid(method: Reductor, settings: Mapping[str, Sequence[Any]]) -> list[Any]:
     """The method with every combination of the settings: ``grid(Ridge(), {"ridge": [1e-3, 1]})``.
 
     Raises
@@ -65,6 +70,7 @@ class OuterFold:
     validation_error: float
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Selection(Drawable):
     """What `select_model` chose, and what the choice is worth.
@@ -83,8 +89,8 @@ class Selection(Drawable):
         Candidates, best first, and outer folds.
     """
 
-    model: Any
-    method: Any
+    model: LatentModel
+    method: Reductor
     settings: str
     order: int
     error: float
@@ -116,14 +122,15 @@ def _number(value: float) -> str:
     return f"{value:.3g}" if np.isfinite(value) else "diverges"
 
 
+@checked
 def select_model(
     data: Snapshots,
-    methods: Sequence[Any],
+    methods: Sequence[Reductor],
     orders: Sequence[int],
     *,
     folds: int = 4,
     inner: int = 3,
-    seed: int = 0,
+    seed: Seed = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Selection:
     """Choose method, settings and order by roll-out error, split by run and nested.
@@ -238,7 +245,7 @@ def _errors(
 def _validation(
     data: Snapshots,
     runs: Sequence[int],
-    methods: Sequence[Any],
+    methods: Sequence[Reductor],
     orders: Sequence[int],
     folds: int,
     told: Callable[[], None],
@@ -260,6 +267,7 @@ def _best(table: np.ndarray) -> int:
     return int(np.argmin([_mean(column) for column in table.T]))
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class LearningCurve(Drawable):
     """Errors against the number of training runs, mean and sd over the draws of runs."""
@@ -287,15 +295,16 @@ class LearningCurve(Drawable):
         return "\n".join(lines)
 
 
+@checked
 def learning_curve(
     train: Snapshots,
     test: Snapshots,
-    method: Any,
+    method: Reductor,
     order: int,
     counts: Sequence[int] | None = None,
     *,
     draws: int = 3,
-    seed: int = 0,
+    seed: Seed = 0,
 ) -> LearningCurve:
     """Held-out error against the number of training runs.
 

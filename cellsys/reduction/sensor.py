@@ -14,9 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sla
 
-from cellsys.errors import DataError, DimensionError
+from cellsys.arguments import checked
+from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.units import real_array
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class StiffnessSensor:
     """Linear read-out of the sensed direction.
@@ -39,7 +42,7 @@ class StiffnessSensor:
     constant_error: float = float("nan")
 
     def __post_init__(self) -> None:
-        K_d = np.array(self.K_d, dtype=float)
+        K_d = real_array(self.K_d, "K_d").copy()
         if K_d.ndim != 2 or K_d.shape[0] != 3 or K_d.shape[1] < 2:
             raise DimensionError(f"K_d must be (3, 1 + m), got {K_d.shape}")
         if not np.all(np.isfinite(K_d)):
@@ -83,6 +86,7 @@ def angle_error(predicted: np.ndarray, true: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean())
 
 
+@checked
 def fit_sensor(
     latent: list[np.ndarray],
     directions: list[np.ndarray],
@@ -114,6 +118,8 @@ def fit_sensor(
         if not (np.all(np.isfinite(z)) and np.all(np.isfinite(d))):
             raise DataError(f"run {i} of the sensor's samples holds NaN or inf")
 
+    if not ridges:
+        raise ParameterError("ridges must hold at least one number")
     total = np.zeros(len(ridges))
     for i in range(len(latent)):
         others = [k for k in range(len(latent)) if k != i] or [i]

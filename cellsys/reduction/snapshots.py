@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.reduction.commands import named_command, recorded_commands
 from cellsys.store.runs import read_rows, release
@@ -25,6 +26,7 @@ SCALES = ("none", "block", "column")
 ROWS = 128  # rows of one block when streaming
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class RunData:
     """One run: x (T, n), eta and u (T - 1, .) averaged over the following intervals.
@@ -61,6 +63,7 @@ class RunData:
         return np.array([k for k in ks if k not in bad], dtype=int) if bad else ks
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Snapshots:
     """Samples of [x; eta] with what is needed to learn a model from them.
@@ -260,6 +263,7 @@ def _take(array: Any, rows: np.ndarray) -> np.ndarray:
     return array[rows]
 
 
+@checked
 def snapshots(
     runs: Sequence[Trajectory | RunData | np.ndarray | str | Path],
     *,

@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError
 
 _NOTE = "trained_range"
 _SLACK = 1e-9  # of the larger bound: rounding of a range of one value
 
 
+@checked
 @dataclass(frozen=True)
 class Flag:
     """Something outside the trained range: when, what, its value and the bound."""
@@ -35,6 +37,7 @@ def beginnings(outside: np.ndarray) -> np.ndarray:
     return np.flatnonzero(outside & ~np.concatenate([[False], outside[:-1]]))
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class TrainedRange:
     """Least and greatest input, latent state and time of the training runs.

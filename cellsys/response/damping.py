@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.response.certainty import PoleCertainty, side
 from cellsys.response.poles import poles
 from cellsys.response.roots import RootSet
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class DampingTable(Drawable):
     """One row per pole; arrays (n,), ordered like `poles` (falling real part).
@@ -62,7 +65,8 @@ class DampingTable(Drawable):
         return "\n".join(lines)
 
 
-def damping(sys: Any, *, certainty: PoleCertainty | None = None) -> DampingTable:
+@checked
+def damping(sys: LinearSystem, *, certainty: PoleCertainty | None = None) -> DampingTable:
     """Damping table of the poles, of continuous and discrete systems.
 
         s = sigma + j omega:  frequency |s|,  ratio zeta = -sigma/|s|,  time constant -1/sigma

@@ -7,6 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.response import grid
@@ -15,6 +17,7 @@ from cellsys.response.resolvent import Resolvent, s_plane
 from cellsys.units import real_array
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse(Drawable):
     """G(j omega), or G(exp(j omega dt)), on a grid.
@@ -101,7 +104,10 @@ def check_omega(omega: Any, system: Realization) -> np.ndarray:
     return array
 
 
-def frequency_response(sys: Any, omega: Any = None, *, accuracy: bool = True) -> FrequencyResponse:
+@checked
+def frequency_response(
+    sys: LinearSystem, omega: np.ndarray | None = None, *, accuracy: bool = True
+) -> FrequencyResponse:
     """Frequency response G = C (s I - A)^-1 B + D, never by way of a polynomial.
 
     The system is balanced and brought once to Hessenberg form per input (Schur form when inputs

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError
 from cellsys.response.realization import Balanced, Realization, balance, realization
@@ -74,6 +76,7 @@ def _without(W: np.ndarray, q: np.ndarray) -> np.ndarray:
     return (W - np.outer(W @ v, v.conj()) * (2 / np.vdot(v, v).real))[:, 1:]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Gramian(Drawable):
     """X = F F^T of a Lyapunov equation, in given coordinates.
@@ -132,7 +135,8 @@ def _residual(A: np.ndarray, F: np.ndarray, B: np.ndarray, *, discrete: bool) ->
     return float(sla.norm(R)) / size if size > 0 else 0.0
 
 
-def controllability_gramian(sys: Any) -> Gramian:
+@checked
+def controllability_gramian(sys: LinearSystem) -> Gramian:
     """Controllability Gramian of a stable system.
 
         A X + X A^T + B B^T = 0          (A X A^T - X + B B^T = 0 in discrete time)
@@ -165,7 +169,8 @@ def controllability_gramian(sys: Any) -> Gramian:
     return Gramian(F @ F.T, F, residual, "controllability")
 
 
-def observability_gramian(sys: Any) -> Gramian:
+@checked
+def observability_gramian(sys: LinearSystem) -> Gramian:
     """Observability Gramian of a stable system.
 
         A^T X + X A + C^T C = 0          (A^T X A - X + C^T C = 0 in discrete time)
@@ -198,7 +203,8 @@ def observability_gramian(sys: Any) -> Gramian:
     return Gramian(F @ F.T, F, residual, "observability")
 
 
-def hankel_singular_values(sys: Any) -> np.ndarray:
+@checked
+def hankel_singular_values(sys: LinearSystem) -> np.ndarray:
     """Hankel singular values of a stable system, falling.
 
         sigma_i = sqrt(eig_i(X_c X_o)), as singular values of F_o^T F_c

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.response.realization import EPS
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Integrators:
     """Null directions of A (of A - I in discrete time).

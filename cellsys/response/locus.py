@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sla
 from scipy.optimize import brentq
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.response.loci import track
@@ -16,6 +18,7 @@ from cellsys.response.realization import balancing, realization
 from cellsys.response.zeros import zeros
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class RootLocus(Drawable):
     """Poles over a parameter.
@@ -48,7 +51,8 @@ class RootLocus(Drawable):
         )
 
 
-def root_locus(sys: Any, values: Any = None) -> RootLocus:
+@checked
+def root_locus(sys: LinearSystem, values: np.ndarray | None = None) -> RootLocus:
     """Poles of the negative feedback loop 1 + k L over the gain k, or of a family over a parameter.
 
         A(k) = A - k B (I + k D)^-1 C

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.response.frequency import FrequencyResponse, frequency_response
@@ -15,6 +17,7 @@ from cellsys.response.norms import SystemNorm, h2_norm, hinf_norm
 from cellsys.response.realization import Realization, realization, same_time
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Sensitivity(Drawable):
     """S = (I + L)^-1 and T = I - S with their peaks.
@@ -41,7 +44,8 @@ class Sensitivity(Drawable):
         return f"peak of S: {self.peak_S}\npeak of T: {self.peak_T}"
 
 
-def sensitivity(sys: Any, omega: Any = None) -> Sensitivity:
+@checked
+def sensitivity(sys: LinearSystem, omega: np.ndarray | None = None) -> Sensitivity:
     """Sensitivity and complementary sensitivity of the negative feedback loop 1 + L.
 
         S = (I + L)^-1,  T = L (I + L)^-1,  S + T = I
@@ -88,6 +92,7 @@ def sensitivity(sys: Any, omega: Any = None) -> Sensitivity:
     )
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class ErrorSystem(Drawable):
     """Full minus reduced model.
@@ -119,7 +124,10 @@ class ErrorSystem(Drawable):
         )
 
 
-def error_system(full: Any, reduced: Any, omega: Any = None) -> ErrorSystem:
+@checked
+def error_system(
+    full: LinearSystem, reduced: LinearSystem, omega: np.ndarray | None = None
+) -> ErrorSystem:
     """The system full minus reduced, with its norms.
 
         A = diag(A_1, A_2),  B = [B_1; B_2],  C = [C_1, -C_2],  D = D_1 - D_2

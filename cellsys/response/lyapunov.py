@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.response.realization import EPS
 
 
@@ -63,6 +64,7 @@ def _stein(A: np.ndarray, Q: np.ndarray) -> np.ndarray:
     return X
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class LyapunovCertificate:
     """P with A^T P + P A = -I (A^T P A - P = -I in discrete time), or why there is none.

@@ -9,6 +9,8 @@ import numpy as np
 import scipy.linalg as sla
 from scipy.optimize import minimize_scalar
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError
 from cellsys.response.frequency import check_omega
@@ -17,6 +19,7 @@ from cellsys.response.realization import EPS, Realization, balance, balancing, r
 from cellsys.response.resolvent import s_plane
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Margins(Drawable):
     """Margins of det(I + L) = 0; inf where there is none, frequencies then nan.
@@ -217,7 +220,8 @@ def _disk(loci: Loci) -> tuple[float, float]:
     return (2.0 / peak if peak > 0 else np.inf), omega
 
 
-def margins(sys: Any, omega: Any = None) -> Margins:
+@checked
+def margins(sys: LinearSystem, omega: np.ndarray | None = None) -> Margins:
     """Gain, phase, delay and disk margins of the NEGATIVE feedback loop det(I + L) = 0.
 
         gain margin 1/|L| where arg L = -180 deg;  phase margin 180 deg + arg L where |L| = 1;

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sla
 from scipy.optimize import minimize_scalar
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError
 from cellsys.response.frequency import FrequencyResponse, frequency_response
@@ -17,6 +19,7 @@ from cellsys.response.realization import Realization, balance, realization
 from cellsys.response.resolvent import Resolvent, s_plane
 
 
+@checked
 @dataclass(frozen=True)
 class SystemNorm(Drawable):
     """A norm; ``float()`` gives the value, ``plot()`` the singular values with the peak marked.
@@ -69,7 +72,8 @@ def _unstable(system: Realization) -> str:
     return f"pole {complex(values[np.argmax(excess)]):.6g} is not inside the stability region"
 
 
-def h2_norm(sys: Any) -> SystemNorm:
+@checked
+def h2_norm(sys: LinearSystem) -> SystemNorm:
     """H2 norm: the rms output under unit white noise.
 
         |G|_2^2 = trace(C X C^T) (+ |D|_F^2 in discrete time),  A X + X A^T + B B^T = 0
@@ -108,7 +112,8 @@ def _h2(system: Realization) -> SystemNorm:
     return SystemNorm(value, np.nan, value, "H2")
 
 
-def hinf_norm(sys: Any, *, rtol: float = 1e-8) -> SystemNorm:
+@checked
+def hinf_norm(sys: LinearSystem, *, rtol: float = 1e-8) -> SystemNorm:
     """H-infinity norm: the largest singular value of the frequency response.
 
     Level-set iteration: the frequencies where the largest singular value equals g are the
@@ -154,7 +159,8 @@ def _hinf(system: Realization, rtol: float) -> SystemNorm:
     return SystemNorm(value, omega, upper, "H-infinity")
 
 
-def norm(sys: Any, order: float | str = 2) -> SystemNorm:
+@checked
+def norm(sys: LinearSystem, order: float | str = 2) -> SystemNorm:
     """H2 norm (order 2) or H-infinity norm (order ``np.inf`` or ``"inf"``).
 
     Parameters

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.response.realization import balance, realization
 from cellsys.response.roots import order
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Participation(Drawable):
     """Modes in columns or rows, ordered by falling real part.
@@ -53,7 +56,8 @@ class Participation(Drawable):
         return "\n".join(lines) if lines else "no modes"
 
 
-def participation(sys: Any) -> Participation:
+@checked
+def participation(sys: LinearSystem) -> Participation:
     """Modal participation of states, outputs and inputs.
 
         A v_i = lambda_i v_i,  w_i^H A = lambda_i w_i^H,  w_i^H v_i = 1

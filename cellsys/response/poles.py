@@ -7,13 +7,16 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.response.certainty import PoleCertainty, data_note, widened
 from cellsys.response.realization import balancing, realization
 from cellsys.response.roots import RootSet, order
 from cellsys.response.spectrum import spectrum
 
 
-def poles(sys: Any, *, certainty: PoleCertainty | None = None) -> RootSet:
+@checked
+def poles(sys: LinearSystem, *, certainty: PoleCertainty | None = None) -> RootSet:
     """Poles: eigenvalues of A, with condition numbers, error bounds and clusters.
 
         det(s I - A) = 0                    (all of them, also unobservable or uncontrollable ones)

@@ -8,6 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError
 from cellsys.response.poles import poles
@@ -16,6 +18,7 @@ from cellsys.response.roots import RootSet
 from cellsys.response.singular import schur_matrix, smallest_singular
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Pseudospectra(Drawable):
     """sigma_min(z I - A) on a rectangle of the complex plane.
@@ -44,8 +47,9 @@ class Pseudospectra(Drawable):
         )
 
 
+@checked
 def pseudospectra(
-    sys: Any, x: Any = None, y: Any = None, *, points: int = 60
+    sys: LinearSystem, x: np.ndarray | None = None, y: np.ndarray | None = None, *, points: int = 60
 ) -> Pseudospectra:
     """Smallest singular value of z I - A on a grid.
 
@@ -116,7 +120,8 @@ def _axis(value: Any, name: str) -> np.ndarray:
     return array
 
 
-def pseudospectral_abscissa(sys: Any, epsilon: float) -> float:
+@checked
+def pseudospectral_abscissa(sys: LinearSystem, epsilon: float) -> float:
     """Largest Re z (|z| in discrete time) of the epsilon-pseudospectrum.
 
         alpha_eps = max { Re z : sigma_min(z I - A) <= epsilon }

@@ -11,14 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import lapack
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
+from cellsys.kinds import Takes
 from cellsys.store.memory import size_text
+from cellsys.system import Matrix
 from cellsys.units import real_array, real_number
 
 DENSE_LIMIT = 4000  # states; a dense complex matrix of this size takes 256 MB
@@ -49,6 +53,7 @@ def _finite(array: np.ndarray, name: str) -> None:
         raise DataError(f"{name}{bad.tolist()} is not finite; mend the model first")
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Realization:
     """A linear time-invariant system in state space.
@@ -80,7 +85,7 @@ class Realization:
         dt is negative or not finite.
     """
 
-    A: Any
+    A: Annotated[Any, Takes(Matrix)]
     B: np.ndarray | None = None
     C: np.ndarray | None = None
     D: np.ndarray | None = None
@@ -211,7 +216,8 @@ def _sampling(dt: Any) -> float:
     return 1.0 if dt is True else dt
 
 
-def realization(sys: Any) -> Realization:
+@checked
+def realization(sys: LinearSystem) -> Realization:
     """Read any linear system as a `Realization`.
 
     Parameters
@@ -250,7 +256,7 @@ def realization(sys: Any) -> Realization:
     )
 
 
-def _from_transfer_function(sys: Any) -> Realization:
+def _from_transfer_function(sys: LinearSystem) -> Realization:
     """Controller canonical form of one channel; balanced later, like every other system."""
     if (sys.ninputs, sys.noutputs) != (1, 1):
         raise ParameterError(

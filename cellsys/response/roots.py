@@ -7,10 +7,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.response.spectrum import Spectrum
 
 
+@checked
 class RootSet(Drawable, np.ndarray):
     """Poles or zeros: a read-only complex array (k,), sorted by falling real part.
 

@@ -8,10 +8,13 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.errors import ParameterError
 from cellsys.response.realization import EPS, Realization, balancing, realization
 
 
+@checked
 @dataclass(frozen=True)
 class ZeroOrderHold:
     """Input constant over each step: x+ = exp(A h) x + int exp(A s) ds B u. Exact at samples."""
@@ -45,6 +48,7 @@ class ZeroOrderHold:
         )
 
 
+@checked
 @dataclass(frozen=True)
 class Tustin:
     """Bilinear rule s = (2/h) (z - 1)/(z + 1); the response is kept, the frequency axis warped.
@@ -115,7 +119,8 @@ def exponential(A: np.ndarray, B: np.ndarray, h: float) -> np.ndarray:
     return F * scale[:, None]
 
 
-def c2d(sys: Any, dt: float, method: ZeroOrderHold | Tustin = ZeroOrderHold()) -> Any:
+@checked
+def c2d(sys: LinearSystem, dt: float, method: ZeroOrderHold | Tustin = ZeroOrderHold()) -> Any:
     """Sample a continuous system; state, input and output names stay.
 
     Parameters
@@ -148,7 +153,8 @@ def c2d(sys: Any, dt: float, method: ZeroOrderHold | Tustin = ZeroOrderHold()) -
     return method.discrete(system, float(dt)).state_space()
 
 
-def d2c(sys: Any, method: ZeroOrderHold | Tustin = ZeroOrderHold()) -> Any:
+@checked
+def d2c(sys: LinearSystem, method: ZeroOrderHold | Tustin = ZeroOrderHold()) -> Any:
     """The continuous system behind a sampled one; names stay.
 
     Parameters

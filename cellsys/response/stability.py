@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError
 from cellsys.response.certainty import PoleCertainty, data_note, side, widened
@@ -23,6 +25,7 @@ from cellsys.response.singular import distance_to_boundary, schur_matrix
 from cellsys.response.spectrum import Spectrum, backward_error, spectrum
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class StabilityReport(Drawable):
     """What can be said about the stability of x' = A x (x+ = A x) at working precision.
@@ -166,8 +169,9 @@ def _verdict(
     )
 
 
+@checked
 def stability(
-    sys: Any,
+    sys: LinearSystem,
     *,
     epsilon: tuple[float, ...] = (),
     integrator_tol: float | None = None,

@@ -8,12 +8,15 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.response.realization import EPS, Realization, balancing, realization
 from cellsys.response.sampling import exponential
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class TimeResponse(Drawable):
     """Outputs over time.
@@ -138,7 +141,8 @@ def _finite(x: np.ndarray, t: np.ndarray) -> np.ndarray:
     return x
 
 
-def step_response(sys: Any, t: Any = None) -> TimeResponse:
+@checked
+def step_response(sys: LinearSystem, t: np.ndarray | None = None) -> TimeResponse:
     """Response to a unit step of each input, from rest.
 
         x(t) = int_0^t exp(A s) ds B,   y = C x + D
@@ -182,7 +186,8 @@ def step_response(sys: Any, t: Any = None) -> TimeResponse:
                         system.dt)
 
 
-def impulse_response(sys: Any, t: Any = None) -> TimeResponse:
+@checked
+def impulse_response(sys: LinearSystem, t: np.ndarray | None = None) -> TimeResponse:
     """Response to a unit impulse of each input, from rest.
 
         y(t) = C exp(A t) B      (the impulse D delta(t) itself is left out in continuous time);
@@ -227,8 +232,14 @@ def impulse_response(sys: Any, t: Any = None) -> TimeResponse:
     return TimeResponse(t, y, x, "impulse", system.inputs, system.outputs, system.dt)
 
 
+@checked
 def forced_response(
-    sys: Any, t: Any, u: Any = None, *, x0: Any = None, linear: bool = True
+    sys: LinearSystem,
+    t: np.ndarray,
+    u: np.ndarray | None = None,
+    *,
+    x0: np.ndarray | None = None,
+    linear: bool = True,
 ) -> TimeResponse:
     """Response to inputs given by their samples, from an initial state.
 

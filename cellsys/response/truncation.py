@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError, RankError
 from cellsys.response.gramians import factors, require_stable, unscaled
 from cellsys.response.realization import EPS, Realization, balance, realization
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class BalancedTruncation(Drawable):
     """A reduced model with its a priori error bound.
@@ -49,8 +52,9 @@ class BalancedTruncation(Drawable):
         )
 
 
+@checked
 def balanced_truncation(
-    sys: Any, *, order: int | None = None, tol: float | None = None
+    sys: LinearSystem, *, order: int | None = None, tol: float | None = None
 ) -> BalancedTruncation:
     """Square-root balanced truncation of a stable system.
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import LinearSystem
 from cellsys.errors import ParameterError
 from cellsys.response.realization import EPS, balance, realization
 from cellsys.response.roots import RootSet, order
@@ -42,7 +42,8 @@ def _reduce(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, tol: flo
         A, B = A[:nu, :nu], B[:nu]
 
 
-def zeros(sys: Any, *, rank_tol: float | None = None, infinite: float = 1e10) -> RootSet:
+@checked
+def zeros(sys: LinearSystem, *, rank_tol: float | None = None, infinite: float = 1e10) -> RootSet:
     """Invariant zeros: where the system pencil loses rank.
 
         rank [[A - z I, B], [C, D]]  <  its rank for almost all z

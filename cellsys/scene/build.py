@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.mechanics.crawler import CrawlerSystem, build_crawlers
 from cellsys.mechanics.effects.protocol import CellBody, Effect
 from cellsys.mechanics.geometry.disc import Disc, disc
@@ -20,6 +21,7 @@ from cellsys.scene.scene import MatrixScene, Scene
 START_GAP = 0.05  # um between the lowest point of a cell and the top of the matrix
 
 
+@checked
 def build(scene: Scene) -> SpreadingSystem | CrawlerSystem:
     """The full-order system of a scene: only the effects that the scene names.
 

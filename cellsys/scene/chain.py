@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, create_model
 
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError, SceneError
 from cellsys.integrate.scipy_methods import LSODA
 from cellsys.mechanics.commands import Commands
@@ -47,6 +48,7 @@ _CRAWLER = {
 }
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class ChainScene(Chain):
     """The matrix of a scene on a chain: a `Chain`, with its parameters."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import (
     BudgetError,
     DamagedRunWarning,
@@ -32,6 +33,7 @@ from cellsys.system import Event, OdeSystem
 from cellsys.trajectory import Trajectory
 
 
+@checked
 def run_scene(
     scene: Scene, folder: str | Path | None = None, progress: Callable[[float], None] | None = None
 ) -> Trajectory:
@@ -246,6 +248,7 @@ def _run_in_child(scene: Scene, target: str) -> None:
     _run_into(scene, target)
 
 
+@checked
 def run_ensemble(
     scenes: Sequence[Scene],
     folder: str | Path,

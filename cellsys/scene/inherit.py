@@ -13,11 +13,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from cellsys.arguments import checked
 from cellsys.errors import SceneError
 
 PRESETS = Path(__file__).parent / "presets"
 
 
+@checked
 def preset_names() -> list[str]:
     """Scenes that come with cellsys and can be named instead of a file."""
     return sorted(path.stem for path in PRESETS.glob("*.toml"))

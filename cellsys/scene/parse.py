@@ -9,6 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
+from cellsys.arguments import checked
 from cellsys.errors import CellsysError, ParameterError, SceneError
 from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.crawler import Crawler
@@ -44,6 +45,7 @@ def _kinds(names: tuple[str, ...], chosen: tuple[type[Effect], ...]) -> dict[str
     return {kind: with_effects(scene, table) for kind, scene in KINDS.items()}
 
 
+@checked
 def scene_schema(effects: Iterable[type[Effect]] = ()) -> dict[str, Any]:
     """JSON schema of a scene file, for editors; `effects` as in `load_scene`."""
     registry = Registry(effects)
@@ -51,6 +53,7 @@ def scene_schema(effects: Iterable[type[Effect]] = ()) -> dict[str, Any]:
     return for_editors(TypeAdapter(kinds["disc"] | kinds["chain"]).json_schema())
 
 
+@checked
 def load_scene(path: str | Path, *, effects: Iterable[type[Effect]] = ()) -> Scene:
     """Read a scene file (TOML), or a preset by its name.
 

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import SceneError
+from cellsys.kinds import Seed
 from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.crawler import Crawler
 from cellsys.mechanics.effects.protocol import Effect
@@ -49,6 +51,7 @@ class Gradient:
     per_um: float
 
 
+@checked
 @dataclass(frozen=True)
 class MatrixScene:
     """The matrix: a disc of fibres; lengths um, modulus pN/um^2 (Pa)."""
@@ -63,6 +66,7 @@ class MatrixScene:
     gradient: Gradient | None = None
 
 
+@checked
 @dataclass(frozen=True)
 class CellScene:
     """One cell: position of its centre in the plane (um), polarity angle (rad), radius (um)."""
@@ -74,6 +78,7 @@ class CellScene:
     commands: Commands | None = None
 
 
+@checked
 @dataclass(frozen=True)
 class Training:
     """The ensemble a reduced model is learned from.
@@ -111,6 +116,7 @@ class Training:
             )
 
 
+@checked
 @dataclass(frozen=True)
 class Scene:
     """A scene: matrix, cells, the effects that act, commands, and how long.
@@ -138,7 +144,7 @@ class Scene:
     matrix: MatrixScene | ChainScene | None = None
     commands: Commands = field(default_factory=Commands)
     training: Training = field(default_factory=Training)
-    seed: int = 0
+    seed: Seed = 0
     step: float = 0.5
     until: str | None = None
 

@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.simulate import simulate
+from cellsys.kinds import Count, Seed
 from cellsys.mechanics.effects.protocol import Element
 from cellsys.mechanics.spreading import SpreadingSystem
 
@@ -93,6 +95,7 @@ class Stopwatch:
         element.stiffness = stiffness
 
 
+@checked
 @dataclass(frozen=True)
 class StepCost:
     """Mean time of one step, s.
@@ -130,8 +133,9 @@ class _Watched(LinearlyImplicit):
         return stepper
 
 
+@checked
 def step_cost(
-    system: SpreadingSystem, step: float, duration: float, seed: int = 0, repeats: int = 1
+    system: SpreadingSystem, step: float, duration: float, seed: Seed = 0, repeats: Count = 1
 ) -> StepCost:
     """Cost of a step over `duration` s, after as many to warm up, without setting up the run.
 
@@ -166,7 +170,7 @@ def step_cost(
 
 
 def time_shares(
-    system: SpreadingSystem, step: float, duration: float, seed: int = 0
+    system: SpreadingSystem, step: float, duration: float, seed: Seed = 0
 ) -> dict[str, float]:
     """Share of a run's time per effect, in the solve and in the rest; see `step_cost`."""
     cost = step_cost(system, step, duration, seed, repeats=2)

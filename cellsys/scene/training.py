@@ -11,7 +11,9 @@ import dataclasses
 
 import numpy as np
 
-from cellsys.errors import SceneError
+from cellsys.arguments import checked
+from cellsys.errors import ParameterError, SceneError
+from cellsys.kinds import Seed, Whole
 from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.chain import ChainScene
@@ -27,6 +29,7 @@ PATCHES = 4
 PERIOD = (200.0, 600.0)  # s of a load
 
 
+@checked
 def training_scenes(scene: Scene) -> tuple[list[Scene], list[Scene]]:
     """Open-loop scenes for training and for held-out tests, as `[training]` asks.
 
@@ -64,11 +67,12 @@ def training_scenes(scene: Scene) -> tuple[list[Scene], list[Scene]]:
     return [at(a, "training") for a in trained], [at(a, "held out") for a in between]
 
 
+@checked
 def turning_scenes(
     scene: Scene,
-    n: int,
+    n: Whole,
     *,
-    seed: int,
+    seed: Seed,
     loaded: bool = False,
     scatter: float = 0.0,
     label: str = "training",
@@ -81,6 +85,8 @@ def turning_scenes(
     gets its own commands, and a place up to `scatter` um away along each axis.
     """
     refuse_chain(scene)
+    if not 0.0 <= scatter < np.inf:
+        raise ParameterError(f"scatter must be finite and >= 0 um, got {scatter!r}")
     scenes = []
     for k, root in enumerate(np.random.SeedSequence([seed, int(loaded)]).spawn(n)):
         rng = np.random.default_rng(root)

@@ -9,11 +9,13 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import FileFormatError, ParameterError
+from cellsys.kinds import Takes
 from cellsys.store.atomic import atomic_path
 
 _HEADER = "cellsys"
@@ -36,11 +38,12 @@ READ_ERRORS = (
 _MOST_GROWTH, _SMALL = 50, 1e8
 
 
+@checked
 def save_archive(
     path: str | Path,
     kind: str,
     version: int,
-    arrays: Mapping[str, np.ndarray],
+    arrays: Annotated[Mapping[str, np.ndarray], Takes(Mapping[str, object])],
     metadata: Mapping[str, Any],
 ) -> Path:
     """Write arrays and JSON metadata as one npz, atomically.
@@ -90,6 +93,7 @@ def archive_kind(path: str | Path) -> str:
     return str(_read(Path(path), arrays=False)[1].get("kind"))
 
 
+@checked
 def load_archive(
     path: str | Path, kind: str, version: int
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
 
+
+@checked
 def fingerprint(*parts: Any) -> str:
     """SHA-256 (hex) of JSON-able values and arrays, in order.
 

@@ -20,7 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from cellsys.errors import BudgetError, FileFormatError, LostRunError
+from cellsys.arguments import checked
+from cellsys.errors import (
+    BudgetError,
+    DimensionError,
+    FileFormatError,
+    LostRunError,
+)
 from cellsys.store.archive import READ_ERRORS, load_archive, save_archive
 from cellsys.store.atomic import write_json
 from cellsys.store.hold import OWN, Hold
@@ -38,6 +44,7 @@ def _flush(array: np.ndarray) -> None:
             array.base.madvise(mmap.MADV_DONTNEED)
 
 
+@checked
 def discard_partial(partial: str | Path) -> None:
     """Remove what an interrupted run left behind.
 
@@ -74,6 +81,7 @@ def _reserve(path: Path) -> None:
                 raise
 
 
+@checked
 class RunWriter:
     """Arrays of a run, filled row by row.
 
@@ -231,6 +239,7 @@ class RunWriter:
         self._hold.release()
 
 
+@checked
 class RunReader:
     """A complete run on disk; arrays are memory-mapped and read-only."""
 
@@ -307,12 +316,15 @@ def _mapped(array: Any) -> np.memmap | None:
     return None
 
 
-def read_rows(array: Any, start: int, stop: int) -> np.ndarray:
+@checked
+def read_rows(array: np.ndarray, start: int, stop: int) -> np.ndarray:
     """Rows start..stop of a 2-D array; of a memory map they are read from the file.
 
     Reading leaves nothing behind in resident memory, and is faster than faulting pages in.
     `array` may be a view of some consecutive rows and columns of the map.
     """
+    if not np.ndim(array):
+        raise DimensionError("array must have rows, got a single number")
     owner = _mapped(array)
     if owner is None or owner.ndim != 2 or np.ndim(array) != 2 or array.strides != owner.strides:
         return array[start:stop]
@@ -331,7 +343,8 @@ def read_rows(array: Any, start: int, stop: int) -> np.ndarray:
     return block.reshape(rows, width)[:, column : column + array.shape[1]]
 
 
-def release(array: Any) -> None:
+@checked
+def release(array: np.ndarray) -> None:
     """Let go of the pages of a memory-mapped array that have been read; they stay on disk.
 
     Resident memory then follows what is in use, not all that was ever touched. Arrays in memory

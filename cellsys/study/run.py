@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import CellsysError, ParameterError, RankError
 from cellsys.integrate import CVODES
 from cellsys.loop import ClosedLoop, Linearisation, PolarityLaw, closed_loop
@@ -42,6 +43,7 @@ ORDERS = (5, 10, 20, 50, 100)
 Progress = Callable[[str, float], None]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class StudyResult:
     """What `study` computed; everything the report shows.
@@ -108,6 +110,7 @@ class StudyResult:
         return "\n".join([*lines, "", str(self)])
 
 
+@checked
 def study(
     scene: Scene | str | Path,
     out: str | Path,

@@ -3,7 +3,8 @@
 import numpy as np
 import scipy.sparse as sp
 
-from cellsys.system import Block, MajorantBlock, OdeSystem, OverdampedSystem
+from cellsys.overdamped import MajorantBlock, OverdampedSystem
+from cellsys.system import Block, OdeSystem
 
 
 class Springs(OverdampedSystem):

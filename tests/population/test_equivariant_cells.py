@@ -1,7 +1,6 @@
 """Equivariant cells on one field: synthetic contractive cells on a small disc."""
 
 import tomllib
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +16,9 @@ from cellsys.reduction.equivariant.dynamics import CellDynamics, ChargeBlock, Re
 from cellsys.reduction.equivariant.model import EquivariantModel
 from cellsys.reduction.equivariant.on_field import CellsOnField
 from cellsys.reduction.equivariant.port import PolarPort, PortSites
+from cellsys.reduction.equivariant.representation import CellRepresentation, ChargeModes
 from cellsys.reduction.equivariant.schedule import Clock
+from cellsys.reduction.equivariant.shape import ShapeBasis
 from cellsys.reduction.field import GalerkinField
 from cellsys.system import Layout
 from tests.reduction.equivariant.refined import reading, refined
@@ -62,9 +63,11 @@ def model(gamma=0.02, seed=0, norm=0.98, sensor=True, field=None, vertices=2):
     K_d[2] = 0.0
     return EquivariantModel(
         dynamics,
-        SimpleNamespace(port=PORT),
-        None,
-        None if field is None else PortSites.of(field.nodes, field.surface),
+        CellRepresentation(ShapeBasis(np.eye(3), 4.0, 0), PORT, 0.0, 1.0),
+        ChargeModes({}, {}, {}),
+        PortSites(np.arange(1), np.zeros((1, 2)), np.ones(1))
+        if field is None
+        else PortSites.of(field.nodes, field.surface),
         Layout([]),
         Layout([]),
         z_start=np.zeros(m),

@@ -281,7 +281,7 @@ def test_refusals():
         couple(model(), coupling=LoadPorts(matrix, x, theta, PORT))
     with pytest.raises(ParameterError, match="no matrix node"):
         couple(cell(), coupling=LoadPorts(matrix, x + 500.0, theta, PORT)).poles()
-    with pytest.raises(ParameterError, match="has no order"):
+    with pytest.raises(ParameterError, match="field must be a matrix field"):
         LoadPorts(3.0, x)
     with pytest.raises(DimensionError, match="loads"):
         couple(cell(), coupling=LoadPorts(matrix, x, theta, PatchPort(components=3)))

@@ -386,7 +386,7 @@ def test_what_is_no_matrix_is_refused():
                 matrix_elasticity=None, stiffness_sensing=None, polarity=None, focal_adhesion=None
             )
         )
-    with pytest.raises(SceneError, match="got dict"):
+    with pytest.raises(ParameterError, match="must be a SpreadingSystem, made by"):
         cs.GalerkinField({})
     with pytest.raises(SceneError, match="matrix_creep"):
         cs.GalerkinField(small(matrix_creep={}))

@@ -138,7 +138,7 @@ def test_entry_points_that_do_not_fit_are_refused_by_name(monkeypatch):
         list(points(FakePoint("volume", "pkg:Volume", Wind)))
     with pytest.raises(ParameterError, match="does not load: no such module"):
         points(FakePoint("wind", "pkg:Wind", ImportError("no such module")))["wind"]
-    with pytest.raises(ParameterError, match="is not a class derived from Effect"):
+    with pytest.raises(SceneError, match="is not a class derived from Effect"):
         points(FakePoint("wind", "pkg:wind", 3))["wind"]
     with pytest.raises(ParameterError, match="two names must agree"):
         points(FakePoint("storm", "pkg:Wind", Wind))["storm"]
@@ -151,7 +151,7 @@ def test_entry_points_that_do_not_fit_are_refused_by_name(monkeypatch):
 def test_names_are_taken_once():
     with pytest.raises(ParameterError, match="there is an effect 'wind' already"):
         Registry([Wind, Wind])
-    with pytest.raises(SceneError, match="is not a class derived from Effect"):
+    with pytest.raises(ParameterError, match="must be a class of Effect, got 3"):
         Scene.parse(blown(), effects=[3])
     taken = type("Taken", (Effect,), {"name": "volume"})
     with pytest.raises(SceneError, match="give yours another name"):

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, ParameterError
 from cellsys.reduction.equivariant.dynamics import CellDynamics
@@ -20,6 +21,7 @@ WINDOW = 3  # steps to either side whose residuals are pooled
 KINDS = ("centroid", "plane", "height", "load")
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class ErrorBands:
     """Half widths from residuals of runs left out, by conformal quantiles.
@@ -110,6 +112,7 @@ def conformal_bands(misses: Sequence[dict[str, np.ndarray]], dt: float, folds: i
     return ErrorBands(dt * np.arange(K), LEVELS, width, folds, len(misses))
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class ValidityMonitor:
     """Ranges seen in training, with a margin, checked as a simulation goes on.
@@ -216,6 +219,7 @@ def _sizes(model: Any, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return sizes, np.sqrt(total) / model.representation.shape.radius
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Forecast(Drawable):
     """A roll-out with its bands and flags.

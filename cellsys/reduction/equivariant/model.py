@@ -10,6 +10,7 @@ from typing import Any, ClassVar, NoReturn
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, FileFormatError, RepresentationError
 from cellsys.reduction.card import Card
 from cellsys.reduction.equivariant.charges import harmonic_names
@@ -34,6 +35,7 @@ class Pole:
     multiplicity: int
 
 
+@checked
 class EquivariantModel(LatentModel):
     """A cell as azimuthal charges; see `CellDynamics` [notes: theory, equivariant cell].
 

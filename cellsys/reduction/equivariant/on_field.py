@@ -19,7 +19,10 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.contracts import SteppedField
 from cellsys.errors import DataError, DimensionError, IntegrationError
+from cellsys.kinds import Count
 from cellsys.reduction.equivariant.dynamics import CellState
 from cellsys.reduction.equivariant.model import EquivariantModel
 from cellsys.reduction.equivariant.port import Footprint, PortSites
@@ -74,6 +77,7 @@ class Mixing:
         return g - np.diff(np.array(self.points), axis=0).T @ weights
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class CellsOnField:
     """K cells of one model on one field.
@@ -90,9 +94,9 @@ class CellsOnField:
     """
 
     model: EquivariantModel
-    field: Any
+    field: SteppedField
     tolerance: float = 1e-5
-    cap: int = 60
+    cap: Count = 60
 
     def __post_init__(self) -> None:
         sites = PortSites.of(self.field.nodes, self.field.surface)

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import checked
+from cellsys.contracts import MatrixField
 from cellsys.errors import DataError
 from cellsys.reduction.equivariant.model import EquivariantModel
 from cellsys.reduction.equivariant.on_field import CellsOnField
@@ -68,8 +70,9 @@ def matrix_row(
     return row | {"spread over runs": float(np.std(miss["model"]))}
 
 
+@checked
 def with_matrix(
-    model: EquivariantModel, field: Any, test: Snapshots, known: Snapshots
+    model: EquivariantModel, field: MatrixField, test: Snapshots, known: Snapshots
 ) -> EquivariantModel:
     """The model with `matrix_row` on its card."""
     from dataclasses import replace

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.linalg as sla
 from scipy.spatial import cKDTree
 
+from cellsys.arguments import checked
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.reduction.equivariant.charges import TOP, pack, unpack
 
@@ -21,6 +22,7 @@ SPACING = 2.0  # um between hats
 ORDERS = 4  # highest azimuthal order
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class PolarPort:
     """Radial hats times azimuthal orders.

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, ParameterError
 from cellsys.reduction.equivariant.certificate import card_of, sensor_of
 from cellsys.reduction.equivariant.charges import N_FEATURES, command_features
@@ -41,6 +42,7 @@ from cellsys.reduction.snapshots import Snapshots
 from cellsys.trajectory import cell_names
 
 
+@checked
 @dataclass(frozen=True)
 class Equivariant:
     """Charges of shape and load, contractive blocks on a clock, trained on whole roll-outs.

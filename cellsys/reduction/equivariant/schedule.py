@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 
 
+@checked
 @dataclass(frozen=True)
 class Clock:
     """Vertices of the schedule, evenly spread over s in [0, 1]; one vertex is no schedule.

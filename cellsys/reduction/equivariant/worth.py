@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
+from cellsys.errors import DataError
 from cellsys.reduction.card import resolution
 from cellsys.reduction.equivariant.charges import turn
 from cellsys.reduction.equivariant.model import EquivariantModel
@@ -177,6 +179,7 @@ def _summary(values: dict[str, list[float]]) -> dict[str, float]:
     return out
 
 
+@checked
 def realisation_floor(
     model: EquivariantModel, pairs: Sequence[tuple[CellRecord, CellRecord]]
 ) -> dict[str, float]:
@@ -185,6 +188,8 @@ def realisation_floor(
     The second run of a pair may be turned by a constant angle; it is turned back. No model that
     does not know the local network can be better than this.
     """
+    if not pairs:
+        raise DataError("pairs must hold at least one pair of runs with the same commands")
     cells, loads = [], []
     for a, b in pairs:
         K = min(a.steps, b.steps)

@@ -43,12 +43,7 @@ class MatrixEnergy:
         that gives the matrix states or motions of its own (creep, degradation, external strain).
     """
 
-    def __init__(self, system: Any) -> None:
-        if not isinstance(system, SpreadingSystem):
-            raise SceneError(
-                f"a matrix field needs the system of a scene on a disc, got "
-                f"{type(system).__name__}; use cs.build of a scene with matrix.kind = 'disc'"
-            )
+    def __init__(self, system: SpreadingSystem) -> None:
         if system.matrix is None:
             raise SceneError(
                 "this scene has no matrix, so there is no field to reduce; add [matrix] and "

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.kinds import Seed
+from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.reduction.field.elasticity import MatrixEnergy
 from cellsys.reduction.field.field import MatrixField
 from cellsys.reduction.field.modes import response_modes
+from cellsys.trajectory import Trajectory
+from cellsys.units import real_array
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class GalerkinField(MatrixField):
     """Galerkin projection of the matrix's own fibre energy on load-response modes.
@@ -56,11 +62,13 @@ class GalerkinField(MatrixField):
         More modes asked for than the responses span.
     """
 
-    system: Any = field(repr=False)
+    system: SpreadingSystem = field(repr=False)
     order: int = 200
     linear: bool = False
-    seed: int = 0
-    snapshots: Any = field(default=None, repr=False)
+    seed: Seed = 0
+    snapshots: np.ndarray | Trajectory | Sequence[np.ndarray | Trajectory] | None = (
+        field(default=None, repr=False)
+    )
     places: int | None = None
     per_place: int = 5
     slope: float = 0.85
@@ -167,7 +175,7 @@ class GalerkinField(MatrixField):
 
 
 def _given_modes(modes: Any, matrix: MatrixEnergy) -> np.ndarray:
-    modes = np.array(modes, dtype=float)
+    modes = real_array(modes, "modes").copy()
     if modes.ndim != 2 or len(modes) != 3 * matrix.n or modes.shape[1] < 1:
         raise DimensionError(f"modes must be ({3 * matrix.n}, order), got {modes.shape}")
     if not np.all(np.isfinite(modes)):

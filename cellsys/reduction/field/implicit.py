@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from cellsys.arguments import checked
 from cellsys.errors import DimensionError
+from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.reduction.field.elasticity import MatrixEnergy
 from cellsys.reduction.field.field import MatrixField
 from cellsys.reduction.field.modes import symmetric_factor
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class FullField(MatrixField):
     """The matrix on its free coordinates: modes are unit vectors, solves are sparse.
@@ -22,7 +25,7 @@ class FullField(MatrixField):
     Parameters as in `GalerkinField`; tangents are sparse.
     """
 
-    system: Any = field(repr=False)
+    system: SpreadingSystem = field(repr=False)
     linear: bool = False
     slope: float = 0.85
     tolerance: float = 1e-4
@@ -69,7 +72,10 @@ class FullField(MatrixField):
         return symmetric_factor(K + shift * sp.eye_array(K.shape[0])).solve
 
 
-def full_field(system: Any, *, linear: bool = False, tolerance: float = 1e-4) -> FullField:
+@checked
+def full_field(
+    system: SpreadingSystem, *, linear: bool = False, tolerance: float = 1e-4
+) -> FullField:
     """The matrix of a built scene with all its degrees of freedom, nonlinear and implicit.
 
     The interface of `GalerkinField`; ``order`` is the number of free coordinates, ``modes`` and

@@ -11,12 +11,14 @@ import scipy.linalg as sla
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
+from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
 
 MOST_DENSE = 3000  # coordinates: beyond, dense matrices and their eigenvalues take minutes
 _ANGLES = 400  # frequencies on the unit circle
 
 
+@checked
 @dataclass(frozen=True)
 class FieldPassivity:
     """What the passivity of a field rests on; from `MatrixField.passivity`.

@@ -1,0 +1,136 @@
+"""Contracts: what rooms hand each other, and what an object of your own needs to join.
+
+A contract says what is asked of an object, not which class it has. In the annotation of a public
+function it is held by `cellsys.arguments`; `needs` holds it anywhere else.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Protocol
+
+import numpy as np
+
+from cellsys.arguments import needs
+from cellsys.system import Matrix, OdeSystem
+
+__all__ = [
+    "Integrator",
+    "LinearSystem",
+    "LoadPort",
+    "MatrixField",
+    "ReducedModel",
+    "Reductor",
+    "StateSpaceLike",
+    "SteppedField",
+    "Stepping",
+    "TransferFunctionLike",
+    "WholeRun",
+    "needs",
+]
+
+
+class WholeRun(Protocol):
+    """An integrator that finds a whole run at once."""
+
+    def solve(
+        self, system: OdeSystem, t: np.ndarray, x0: np.ndarray, *, averages: bool = True
+    ) -> Any:
+        """States at the times t, and the averages of eta and u between them."""
+
+
+class Stepping(Protocol):
+    """An integrator that goes from sample to sample by a stepper of its own."""
+
+    def start(
+        self, system: OdeSystem, t0: float, x0: np.ndarray, rng: np.random.Generator
+    ) -> Any:
+        """A stepper at (t0, x0)."""
+
+
+Integrator = Annotated[
+    WholeRun | Stepping, "an integrator such as cs.DOP853(rtol=1e-8, atol=1e-10)"
+]
+
+
+class Reductor(Protocol):
+    """A reductor such as cs.PCR()."""
+
+    def fit(self, data: Any, order: int, basis: Any = None, parts: Any = None) -> Any:
+        """A model of this order learned from snapshots."""
+
+
+class ReducedModel(Protocol):
+    """A reduced model, made by cs.reduce(data, order=...)."""
+
+    order: int
+
+    def encode(self, x: np.ndarray, eta: np.ndarray | None = None) -> np.ndarray:
+        """Latent states of samples."""
+
+    def reconstruct(self, z: np.ndarray) -> np.ndarray:
+        """Samples of latent states."""
+
+    def predict(self, z0: np.ndarray, u: np.ndarray | None, t: np.ndarray) -> np.ndarray:
+        """Latent states (T, m) at the times t from z0 under the commands u."""
+
+
+class MatrixField(Protocol):
+    """A matrix field such as cs.GalerkinField(system) or cs.full_field(system)."""
+
+    order: int
+    drag: float
+    stiffness: Any
+    nodes: np.ndarray
+    surface: np.ndarray
+
+    def project(self, f: np.ndarray) -> np.ndarray:
+        """Nodal loads (..., n, 3) as loads on the field's coordinates (..., order)."""
+
+    def displacement(self, q: np.ndarray) -> np.ndarray:
+        """Nodal displacements (..., n, 3), um, of coordinates (..., order)."""
+
+
+class LoadPort(Protocol):
+    """A load port such as cs.PatchPort()."""
+
+    n_loads: int
+
+    def gather(self, field: MatrixField, position: np.ndarray, heading: float) -> np.ndarray:
+        """E (n_loads, order): what the port reads of the field's coordinates."""
+
+
+class SteppedField(MatrixField, Protocol):
+    """A matrix field that steps itself, such as cs.GalerkinField(system)."""
+
+    def step(self, q: np.ndarray, load: np.ndarray, dt: float, memory: Any = None) -> np.ndarray:
+        """Coordinates after one implicit step of dt under the load (order,)."""
+
+    def energy(self, q: np.ndarray) -> float:
+        """Stored energy, pN um."""
+
+    def memory(self) -> Any:
+        """What steps in a row keep for each other."""
+
+
+class StateSpaceLike(Protocol):
+    """A linear system in state space, such as control.ss(A, B, C, D, 0)."""
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    dt: float
+
+
+class TransferFunctionLike(Protocol):
+    """A transfer function, such as control.tf(num, den, 0)."""
+
+    num: Any
+    den: Any
+    dt: float
+
+
+LinearSystem = Annotated[
+    StateSpaceLike | TransferFunctionLike | tuple | Matrix,
+    "a linear system: a control.StateSpace, a TransferFunction, (A, B, C, D) or a matrix A",
+]

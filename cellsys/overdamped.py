@@ -1,0 +1,85 @@
+"""`OverdampedSystem`: nodes with drag and internal states that follow them.
+
+What a linearly implicit integrator needs beyond the right-hand side of an `OdeSystem`: drag,
+over-estimates of the tangent, stiff directions, states that are advanced by themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from cellsys.system import Event, OdeSystem
+
+
+class MajorantBlock(NamedTuple):
+    """An over-estimate of the tangent: SPD `matrix()` (k, k) on each column of `index` (k, c).
+
+    `factor(matrix)`, if given, returns a solver for these; `matrix` is called when `key` changes.
+    """
+
+    name: str
+    index: np.ndarray
+    matrix: Callable[[], sp.csc_array]
+    key: Any
+    factor: Callable[[sp.csc_array], Callable] | None = None
+
+
+class RankOne(NamedTuple):
+    """A stiff direction k g g^T (pressure of a closed membrane), g (k,) on the states `index`."""
+
+    index: np.ndarray
+    stiffness: float
+    direction: np.ndarray
+
+
+class OverdampedSystem(OdeSystem):
+    """An `OdeSystem` of nodes with drag, and of internal states that follow them.
+
+        C dx_i/dt = F_i(x)      nodes, through nodal force ports (constant W_eta = I/C)
+        ds/dt = r(x, v, s)      internal states (bonds, polarity), rates in blocks of eta
+
+    It gives a linearly implicit integrator what it needs beyond the right-hand side.
+    """
+
+    _made_by: ClassVar[str] = "cs.build(scene) of a disc; its tangent has a majorant"
+
+    def drag(self) -> np.ndarray:
+        """Drag of each state (n,), pN s/um; 0 marks internal states, inf clamped nodes."""
+        raise NotImplementedError
+
+    def efforts(self, t: float, x: np.ndarray) -> np.ndarray:
+        """Like `eta`, with the blocks that hold rates of internal states left at zero."""
+        raise NotImplementedError
+
+    def rate(self, x: np.ndarray, eta: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """W_x x + W_eta eta + u (n,), in a new array."""
+        return self.W_eta @ eta + u + (self.W_x @ x if self.W_x.nnz else 0.0)
+
+    def forget(self) -> None:
+        """Drop what is kept between looks at the tangent: a run must not see an earlier one."""
+
+    def internal_blocks(self) -> tuple[tuple[slice, slice], ...]:
+        """(slice of x, slice of eta) of every internal state and its rate."""
+        raise NotImplementedError
+
+    def advance_internal(self, t: float, x: np.ndarray, x_new: np.ndarray, dt: float) -> None:
+        """Fill the internal states of `x_new`, given its node positions and the old state."""
+        raise NotImplementedError
+
+    def majorant(self, t: float, x: np.ndarray, dt: float) -> tuple[MajorantBlock, ...]:
+        """Sparse SPD over-estimates of -dF/dx; together they cover every node state once."""
+        raise NotImplementedError
+
+    def low_rank(self, t: float, x: np.ndarray) -> tuple[RankOne, ...]:
+        """Stiff directions to be added to the majorant by the Woodbury identity."""
+        return ()
+
+    def between_steps(
+        self, t: float, x: np.ndarray, dt: float, rng: np.random.Generator
+    ) -> tuple[np.ndarray, tuple[Event, ...]]:
+        """Discrete changes (binding, rupture) at the start of a step: new state and events."""
+        return x, ()
