@@ -33,6 +33,7 @@ from cellsys.arguments import checked
 from cellsys.contracts import Integrator
 from cellsys.errors import CellsysError, DataError, IntegrationError, ParameterError
 from cellsys.integrate import CVODES, DOP853, LSODA, Exponential
+from cellsys.integrate.simulate import check_times
 from cellsys.kinds import Seed
 from cellsys.loop import ClosedLoop, ScheduledLoop, closed_loop
 from cellsys.reduction import EquivariantModel, LatentModel
@@ -164,20 +165,16 @@ def budget(
         ends = "rounding and the tightest tolerance of the sweep"
         references = (by_tolerance(Exponential, [1e-11]), by_tolerance(CVODES, [1e-11]))
         agree, repeats = 1e-7, 2
-    elif isinstance(target, Scene):
+    else:
         kind, floor = "motion", ""
-        short = probe_times(target, PROBE) if t is None else np.asarray(t, dtype=float)
-        long = probe_times(target, LONG) if held_out_t is None else np.asarray(held_out_t, float)
+        short = probe_times(target, PROBE) if t is None else check_times(t)
+        long = probe_times(target, LONG) if held_out_t is None else check_times(held_out_t)
         problems = scene_problems(target, training, short, seed)
         others = scene_problems(target, held_out, long, seed, training)
         ours = setups or full_order_setups(problems[0])
         ends = "the tightest setting of the sweep"
         references = full_order_references(problems[0], error)
         agree, repeats = 0.1 * error, 1
-    else:
-        raise ParameterError(
-            f"budget takes a Scene, a reduced model or a loop on one, got {type(target).__name__}"
-        )
     measure = kind if measure is None else measure
     if floor:
         return _none(error, measure, floor)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -52,7 +53,9 @@ class RootLocus(Drawable):
 
 
 @checked
-def root_locus(sys: LinearSystem, values: np.ndarray | None = None) -> RootLocus:
+def root_locus(
+    sys: LinearSystem | Callable[[float], LinearSystem], values: np.ndarray | None = None
+) -> RootLocus:
     """Poles of the negative feedback loop 1 + k L over the gain k, or of a family over a parameter.
 
         A(k) = A - k B (I + k D)^-1 C

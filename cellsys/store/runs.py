@@ -344,7 +344,7 @@ def read_rows(array: np.ndarray, start: int, stop: int) -> np.ndarray:
 
 
 @checked
-def release(array: np.ndarray) -> None:
+def release(array: np.ndarray | None) -> None:
     """Let go of the pages of a memory-mapped array that have been read; they stay on disk.
 
     Resident memory then follows what is in use, not all that was ever touched. Arrays in memory

@@ -3,7 +3,6 @@
 import csv
 import dataclasses
 import json
-import types
 from itertools import pairwise
 
 import numpy as np
@@ -30,6 +29,7 @@ from cellsys.accuracy.measures import by_block, moving_share, polarity_angle
 from cellsys.errors import DataError, DimensionError, ParameterError
 from tests.integrate.problems import E5
 from tests.loop.systems import make
+from tests.population.test_equivariant_cells import model as equivariant
 
 T = np.arange(0.0, 201.0)
 
@@ -168,7 +168,7 @@ def test_refusals():
         budget(loop, error=-1.0)
     with pytest.raises(ParameterError, match="margin"):
         budget(loop, error=0.1, margin=0.5)
-    with pytest.raises(ParameterError, match="Scene, a reduced model"):
+    with pytest.raises(ParameterError, match="target must be a ClosedLoop"):
         budget("scene", error=0.1)
     with pytest.raises(ParameterError, match="at least one setting"):
         Setup("none", lambda p, s: None)
@@ -190,13 +190,12 @@ def test_budget_closes_the_loop_of_a_model():
 def test_budget_of_a_loop_with_its_own_step():
     """Nothing to choose: the error is the one that the card measured on held-out runs."""
     card = cs.Card(1, "made up", "none", 1, 1, (), -0.1, held_out={"cell": {"model": 0.06}})
-    model = types.SimpleNamespace(dt=5.0, card=card)
-    loop = cs.loop.ScheduledLoop(model, cs.PolarityLaw(), None, np.zeros(1), np.array([1.0, 0, 0]))
-    none = budget(loop, error=0.05)
+    known, unknown = equivariant(), equivariant()
+    object.__setattr__(known, "card", card)
+    none = budget(cs.closed_loop(known), error=0.05)
     assert not none
     assert "the model itself" in none.floor
-    unknown = dataclasses.replace(loop, model=types.SimpleNamespace(dt=5.0, card=None))
-    assert "no card" in budget(unknown, error=0.1).floor
+    assert "no card" in budget(cs.closed_loop(unknown), error=0.1).floor
 
 
 def test_budget_of_a_chain_starts_the_crawlers_otherwise():

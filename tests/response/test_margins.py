@@ -334,7 +334,7 @@ def test_refusals() -> None:
         margins((np.eye(2), np.ones((2, 1)), np.ones((2, 2)), np.zeros((2, 1))))
     with pytest.raises(DataError, match="not finite"):
         margins((np.array([[np.nan]]), [[1.0]], [[1.0]], [[0.0]]))
-    with pytest.raises(ParameterError, match="expected a control"):
+    with pytest.raises(ParameterError, match="sys must be a linear system: a control"):
         margins("plant")
 
 
