@@ -73,7 +73,7 @@ def checked(item: _T) -> _T:
             setattr(item, name, _guarded(function, item if fields else function))
         elif not name.startswith("_") or name == "__call__":
             around = type(part) if part is not function else lambda f: f
-            setattr(item, name, around(_guarded(function, function, REAL_ARRAY.fault)))
+            setattr(item, name, around(_guarded(function, function)))
     return item
 
 

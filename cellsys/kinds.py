@@ -1,8 +1,8 @@
 """What an annotation asks of a value: its kind, in words and as a test.
 
     float, int, bool, str          numbers of Python or numpy; a truth value is no number
-    np.ndarray                     what numpy turns into an array of numbers, real ones where a
-                                   function takes it; NDArray[np.complex128] says: complex too
+    np.ndarray                     what numpy turns into an array of numbers; of a function that
+                                   is no method: of real ones, NDArray[...] of any
     Sequence[K], tuple, Mapping    their entries too, where looking uses nothing up
     a class, type[...], Literal    an instance, a subclass, one of the values
     a Protocol                     what the value lacks is named

@@ -104,6 +104,7 @@ def edge_gap(run: Trajectory, first: str = "cell1", second: str = "cell2") -> np
     return np.array([gap(a.at(k), b.at(k)) for k in range(len(run))])
 
 
+@checked
 def contour_gap(first: np.ndarray, second: np.ndarray) -> float:
     """`edge_gap` of two closed contours (n, 2), um, their corners in order.
 

@@ -31,6 +31,7 @@ def contact_radius(position: np.ndarray) -> float:
     return float(np.hypot(*(position[low, :2] - position[:, :2].mean(axis=0)).T).max())
 
 
+@checked
 def crawl_distance(position: np.ndarray) -> float:
     """How far a cell with nodes (T, n, 3) crawled, um.
 
@@ -38,13 +39,14 @@ def crawl_distance(position: np.ndarray) -> float:
     the centre is the mean of the nodes. It sinks while a cell spreads, which is no crawling:
     `centre_height` is a read-out of its own.
     """
-    ends = np.asarray(position)[[0, -1]].mean(axis=1)[:, :2]
+    ends = shaped_array(position, "position", (None, None, 3))[[0, -1]].mean(axis=1)[:, :2]
     return float(np.hypot(*(ends[1] - ends[0])))
 
 
+@checked
 def centre_height(position: np.ndarray) -> float:
     """Height of the centre of a cell with nodes (n, 3) over the plane z = 0, um."""
-    return float(np.asarray(position)[:, 2].mean())
+    return float(shaped_array(position, "position", (None, 3))[:, 2].mean())
 
 
 @checked

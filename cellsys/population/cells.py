@@ -71,8 +71,6 @@ class CoupledCells(Drawable):
 
     _figure: ClassVar[str] = "coupled_cells"
 
-    # Parts
-
     @property
     def order(self) -> int:
         """m of one cell."""
@@ -289,8 +287,6 @@ class CoupledCells(Drawable):
         from cellsys.population.limits import limit_poles
 
         return limit_poles(self)
-
-    # Stability
 
     def stability(self) -> Any:
         """Verdict block by block, with the error bounds of the poles; integrators set apart."""

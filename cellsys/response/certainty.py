@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.response.spectrum import Spectrum
@@ -20,6 +21,7 @@ from cellsys.response.spectrum import Spectrum
 _SAME = 1e-6  # poles further apart than this share of the largest are not the same pole
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class PoleCertainty(Drawable):
     """Poles of a model, and how far each moves when a part of the data is left out.
