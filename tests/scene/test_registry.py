@@ -138,7 +138,7 @@ def test_entry_points_that_do_not_fit_are_refused_by_name(monkeypatch):
         list(points(FakePoint("volume", "pkg:Volume", Wind)))
     with pytest.raises(ParameterError, match="does not load: no such module"):
         points(FakePoint("wind", "pkg:Wind", ImportError("no such module")))["wind"]
-    with pytest.raises(SceneError, match="is not a class derived from Effect"):
+    with pytest.raises(ParameterError, match="is not a class derived from Effect"):
         points(FakePoint("wind", "pkg:wind", 3))["wind"]
     with pytest.raises(ParameterError, match="two names must agree"):
         points(FakePoint("storm", "pkg:Wind", Wind))["storm"]
@@ -335,6 +335,7 @@ VALUES = st.one_of(
 
 # What to do, in the words of the messages.
 CURES = (
+    "take ",
     "must ", "should", "did you mean", "known:", "it belongs to", "add ", "is missing", "needs",
     "leave one of them out", "no meaning", "there is no", "has no [[cells]]", "move", "write for",
     "expected", "keep it", "sample less often", "longer than", "are not", "at least", "at most",
