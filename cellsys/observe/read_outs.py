@@ -45,6 +45,7 @@ def read_outs(run: Trajectory) -> dict[str, float]:
     return out
 
 
+@checked
 def read_out_errors(run: Trajectory) -> dict[str, float]:
     """How far each of `read_outs` may be off by the integrator and rounding, in its unit.
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from cellsys.arguments import checked
 from cellsys.errors import BudgetError
 
 try:
@@ -35,6 +36,7 @@ class Room(NamedTuple):
 _UNBOUND = Room(float("inf"), "nothing bounds it")
 
 
+@checked
 def size_text(amount: float) -> str:
     """Bytes in the unit that fits: ``950 kB``, ``12.3 MB``, ``1.5 GB``."""
     for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
@@ -43,6 +45,7 @@ def size_text(amount: float) -> str:
     return f"{amount:.0f} bytes"
 
 
+@checked
 def available_memory() -> float:
     """Bytes of memory that this process can still have without swapping.
 
@@ -82,6 +85,7 @@ def address_room() -> Room:
     return min(rooms)
 
 
+@checked
 def check_memory(need: float, what: str, cure: str, *, addresses: float = 0.0) -> None:
     """Refuse what needs more memory than can be had.
 
