@@ -1,21 +1,67 @@
 """Eigenvalue loci of a return ratio L(j omega), with all crossings bracketed and polished.
 
-One locus for a scalar L; for a square L (q x q) the q eigenvalues, tracked along the frequencies
-(MacFarlane and Postlethwaite, Int. J. Control 25 (1977) 81): det(I + k L) = 0 where k times a
-locus passes -1.
+One locus for a scalar L; for a square L (q x q) its q eigenvalues at every frequency (MacFarlane
+and Postlethwaite, Int. J. Control 25 (1977) 81): det(I + k L) = 0 where k times a locus passes -1.
+
+Crossings are changes of sign of *sorted* values (of log |lambda|, or of sin arg lambda): the
+largest, the second largest and so on are continuous in the frequency whichever locus they belong
+to, so that nothing depends on telling close loci apart.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import permutations
 
 import numpy as np
-from scipy.optimize import brentq, linear_sum_assignment, minimize_scalar
+from scipy.optimize import linear_sum_assignment
 
-from cellsys.response import grid
-from cellsys.response.realization import EPS, Realization
+from cellsys.response import grid, pencils
+from cellsys.response.brackets import find_roots
+from cellsys.response.realization import Realization
 from cellsys.response.resolvent import Resolvent, s_plane
+
+_DECADES = 40  # that a grid may be extended by at either end
+_UNKNOWN = 0.3  # relative error beyond which a value says nothing: a pole or zero on the boundary
+_STRAIGHT = 1.05  # ratio of frequencies over which a locus without a sign runs along the line
+
+
+@dataclass(frozen=True)
+class Points:
+    """Eigenvalues of L at some frequencies.
+
+    Attributes
+    ----------
+    omega : array (k,)
+        rad/s; 0, and inf or pi/dt, at the ends.
+    values : complex array (q, k), or (k,) for single crossings
+    noise : array, same shape
+        Bound of the error of each.
+    """
+
+    omega: np.ndarray
+    values: np.ndarray
+    noise: np.ndarray
+
+
+def log_size(values: np.ndarray) -> np.ndarray:
+    """log |lambda|: 0 on the unit circle."""
+    with np.errstate(divide="ignore"):
+        return np.maximum(np.log(np.abs(values)), -800.0)
+
+
+def sine(values: np.ndarray) -> np.ndarray:
+    """Im lambda / |lambda|: 0 on the real axis."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turned = values.imag / np.abs(values)
+    return np.where(np.isfinite(turned), turned, 1.0)
+
+
+def left_sine(values: np.ndarray) -> np.ndarray:
+    """The same where Re lambda < 0, else +-1: jumps on the positive real axis."""
+    return np.where(values.real < 0, sine(values), np.where(values.imag >= 0, 1.0, -1.0))
 
 
 class Loci:
@@ -24,149 +70,292 @@ class Loci:
     Attributes
     ----------
     omega : array (k,)
-    values : complex array (q, k)
-        Tracked eigenvalues of L.
-    noise : array (q, k)
-        Error bound of each value.
     L : complex array (q, q, k)
+    raw : complex array (q, k)
+        Eigenvalues of L, each column in any order; see `values`.
+    noise : array (q, k)
+        Error bound of each value of `raw`.
+    ends : Points
+        The loci at 0 and at inf (pi/dt), where they are finite.
+    fitting : pencils.Fitting or None
+        The system in scales that fit where crossings were also sought as eigenvalues of a pencil
+        (`pencils`), off the grid; None where it is too large for that, or omega was given.
     evaluate : Resolvent
     """
 
     def __init__(self, system: Realization, omega: np.ndarray | None = None) -> None:
         self.system = system
         self.evaluate = Resolvent(system)
-        if system.n_inputs == 0:
+        self.fitting: pencils.Fitting | None = None
+        q = system.n_inputs
+        if q == 0:
             self.omega, self.L = np.zeros(0), np.zeros((0, 0, 0), complex)
-            self.values, self.noise = np.zeros((0, 0), complex), np.zeros((0, 0))
+            self.raw, self.noise = np.zeros((0, 0), complex), np.zeros((0, 0))
+            self.ends = Points(self.omega, self.raw, self.noise)
             return
+        self.ends = self._at_the_ends()
         if omega is None:
             start = self._extended(grid.automatic(system))
-            self.omega, _ = grid.refine(self._raw, start)
+            self.omega, _ = grid.refine(
+                self._eigenvalues, start, match=track if q > 1 else None, about=(0.0, -1.0)
+            )
+            self._complete()
         else:
             self.omega = np.unique(omega)
         L, bound = self.evaluate.with_accuracy(s_plane(self.omega, system.dt))
         usable = np.isfinite(L).all(axis=(0, 1))
-        self.omega, L, bound = self.omega[usable], L[:, :, usable], bound[:, :, usable]
+        if not usable.all():
+            self.omega, L, bound = self.omega[usable], L[:, :, usable], bound[:, :, usable]
         self.L = L
-        q = L.shape[0]
-        if q == 1:
-            self.values, self.noise = L[0], bound[0]
-            return
-        matrices, size = np.moveaxis(L, -1, 0), np.sqrt((bound**2).sum(axis=(0, 1)))
-        values, vectors = np.linalg.eig(matrices)
-        skew = np.array([np.linalg.cond(V) for V in vectors])
-        self.values = track(values.T)
-        self.noise = np.tile(size * skew, (q, 1))
+        self.raw, self.noise = _with_noise(L, bound)
 
-    def _raw(self, omega: np.ndarray) -> np.ndarray:
-        """What the refinement looks at: the loci, and 1 + them (passing -1 closely)."""
+    @property
+    def complete(self) -> bool:
+        """No crossing can hide between the points of the grid."""
+        return self.fitting is not None or not self.omega.size
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """The loci (q, k), each row one continuous path: for drawing."""
+        return track(self.raw)
+
+    def _eigenvalues(self, omega: np.ndarray) -> np.ndarray:
         L = self.evaluate(s_plane(omega, self.system.dt))
         L = np.where(np.isfinite(L), L, 1e300)
-        values = L[0] if L.shape[0] == 1 else track(np.linalg.eigvals(np.moveaxis(L, -1, 0)).T)
-        return np.concatenate([values, 1.0 + values])
+        return L[0] if L.shape[0] == 1 else np.linalg.eigvals(np.moveaxis(L, -1, 0)).T
+
+    def _at_the_ends(self) -> Points:
+        """0 and pi/dt, where L is real, or 0 and infinity, where it is D."""
+        system = self.system
+        top = np.pi / system.dt if system.is_discrete else np.inf
+        points = np.array([1.0, -1.0] if system.is_discrete else [0.0], complex)
+        L, bound = self.evaluate.with_accuracy(points)
+        # Where A is singular to working precision, nothing is known of L(0): no end.
+        size = np.sqrt((np.abs(L) ** 2).sum(axis=(0, 1)))
+        known = np.isfinite(L).all(axis=(0, 1)) & np.isfinite(bound).all(axis=(0, 1))
+        known &= np.isfinite(size)
+        values, noise = _with_noise(L[:, :, known].real.astype(complex), bound[:, :, known])
+        omega = np.array([0.0, top])[: len(points)][known]
+        if not system.is_discrete:
+            D = system.D[:, :, None].astype(complex)
+            high, error = _with_noise(D, 1e-15 * np.abs(D))
+            omega = np.append(omega, np.inf)
+            values, noise = np.hstack([values, high]), np.hstack([noise, error])
+        return Points(omega, values, noise)
 
     def _extended(self, omega: np.ndarray) -> np.ndarray:
-        """Add decades at the ends while a locus may still cross the unit circle out there."""
+        """Add decades at the ends until as many loci lie outside the unit circle as at the end.
+
+        Where L(0) is not finite: while a locus below 2 still rises towards 0.
+        """
         edge = np.geomspace(0.1, 1.0, grid.PER_DECADE, endpoint=False)
-        D = self.system.D
-        high = 0.0 if not D.size else float(np.abs(np.linalg.eigvals(D)).max(initial=0.0))
-        for _ in range(40):
-            size = np.abs(self._raw(omega[-2:])[: D.shape[0]])
-            falling = np.all(size[:, 1] < size[:, 0])
-            if self.system.is_discrete or high >= 1 or not falling or size[:, 1].max() <= 0.5:
-                break
-            omega = np.concatenate([omega, edge[1:] * omega[-1] * 10, [omega[-1] * 10]])
-        for _ in range(40):
-            size = np.abs(self._raw(omega[:2])[: D.shape[0]])
-            steep = size[:, 0] > size[:, 1] * (1 + 0.1 * (1 - omega[0] / omega[1]))
-            if not np.any(steep & (size[:, 0] < 2)):
+
+        def outside(at: float) -> int | None:
+            column = np.flatnonzero(self.ends.omega == at)
+            if not column.size:
+                return None
+            f, noise = log_size(self.ends.values[:, column]), self.ends.noise[:, column]
+            if np.any(np.abs(f) <= 2 * noise):
+                return None  # on the circle: no number of decades would tell
+            return int(np.count_nonzero(f > 0))
+
+        low, high = outside(0.0), outside(np.inf)
+        for _ in range(_DECADES):
+            size = np.abs(self._eigenvalues(omega[:2]))
+            if 0.0 in self.ends.omega:
+                more = low is not None and np.count_nonzero(size[:, 0] > 1) != low
+            else:
+                size = np.sort(size, axis=0)
+                steep = size[:, 0] > size[:, 1] * (1 + 0.1 * (1 - omega[0] / omega[1]))
+                more = bool(np.any(steep & (size[:, 0] < 2)))
+            if not more:
                 break
             omega = np.concatenate([edge * omega[0], omega])
+        for _ in range(_DECADES if high is not None else 0):
+            if np.count_nonzero(np.abs(self._eigenvalues(omega[-1:])) > 1) == high:
+                break
+            omega = np.concatenate([omega, edge[1:] * omega[-1] * 10, [omega[-1] * 10]])
         return omega
 
-    def scalar(self, omega: float, near: complex) -> complex:
-        """The locus value at `omega` that lies nearest to `near`."""
-        L = self.evaluate.at(complex(s_plane(np.array([omega]), self.system.dt)[0]))
-        if L.shape == (1, 1):
-            return complex(L[0, 0])
-        values = np.linalg.eigvals(L)
-        return complex(values[np.argmin(np.abs(values - near))])
-
-    def crossings(
-        self,
-        kind: Callable[[complex], float],
-        noise: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    ) -> list[tuple[float, complex]]:
-        """All frequencies where ``kind(locus) = 0``, each with the locus there.
-
-        `noise` gives, from values and error bounds, the size below which `kind` has no sign.
-        Brackets are changes of sign between neighbours on the grid; a near miss (a local minimum
-        of the size of `kind`) is followed to its bottom, where two crossings may hide.
-        """
-        found: list[tuple[float, complex]] = []
-        for value, bound in zip(self.values, self.noise, strict=True):
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                f = np.array([kind(v) for v in value])
-                clear = np.abs(f) > noise(value, bound)
-            clear &= np.isfinite(f)
-            at = np.flatnonzero(clear)
-            for i, j in pairwise(at):
-                # A long stretch without a sign is a locus that runs along the line, no crossing.
-                if f[i] * f[j] < 0 and (j - i <= 3 or self.omega[j] < 1.05 * self.omega[i]):
-                    found.append(self._polish(kind, value, i, j))
-            for i in at[(at > 0) & (at < len(f) - 1)]:
-                left, here, right = f[i - 1], f[i], f[i + 1]
-                dip = abs(here) <= abs(left) and abs(here) <= abs(right) and abs(here) < 0.3
-                if dip and left * here > 0 and right * here > 0:
-                    found.extend(self._dip(kind, value, i, np.sign(here)))
-        return sorted(found, key=lambda pair: pair[0])
-
-    def _between(self, value: np.ndarray, i: int, j: int) -> Callable[[float], complex]:
-        a, b = np.log(self.omega[i]), np.log(self.omega[j])
-
-        def at(x: float) -> complex:
-            t = (x - a) / (b - a)
-            return self.scalar(float(np.exp(x)), (1 - t) * value[i] + t * value[j])
-
-        return at
-
-    def _polish(
-        self, kind: Callable[[complex], float], value: np.ndarray, i: int, j: int
-    ) -> tuple[float, complex]:
-        at = self._between(value, i, j)
-        lo, hi = np.log(self.omega[i]), np.log(self.omega[j])
-        f_lo, f_hi = kind(at(lo)), kind(at(hi))
-        if f_lo * f_hi >= 0:  # the value at an end is the crossing itself
-            x = lo if abs(f_lo) < abs(f_hi) else hi
-        else:
-            x = brentq(lambda x: kind(at(x)), lo, hi, xtol=4 * EPS, rtol=8 * EPS)
-        return float(np.exp(x)), at(x)
-
-    def _dip(
-        self, kind: Callable[[complex], float], value: np.ndarray, i: int, sign: float
-    ) -> list[tuple[float, complex]]:
-        found = []
-        lo, mid, hi = np.log(self.omega[i - 1 : i + 2])
-        low, high = self._between(value, i - 1, i), self._between(value, i, i + 1)
-
-        def at(x: float) -> complex:
-            return low(x) if x < mid else high(x)
-
-        best = minimize_scalar(
-            lambda x: sign * kind(at(x)), bounds=(lo, hi), method="bounded",
-            options={"xatol": 1e-10},
+    def _complete(self) -> None:
+        """Put the candidates of the pencils and points between them onto the grid."""
+        if pencils.rows(self.system) > pencils.MOST_ROWS:
+            return
+        self.fitting = pencils.fitting(self.system)
+        found = np.concatenate(
+            [pencils.unit_modulus(self.fitting), pencils.real_axis(self.fitting)]
         )
-        if best.fun < 0:
-            for a, b in ((lo, best.x), (best.x, hi)):
-                x = brentq(lambda x: kind(at(x)), a, b, xtol=4 * EPS, rtol=8 * EPS)
-                found.append((float(np.exp(x)), at(x)))
-        return found
+        lo, hi = self.omega[[0, -1]]
+        found = np.unique(found[(found > 1e-12 * lo) & (found < 1e12 * hi)])
+        between = np.sqrt(found[1:] * found[:-1])
+        outer = np.concatenate([found[:1] / 2, found[-1:] * 2])
+        if self.system.is_discrete:
+            outer = outer[outer < hi]
+        self.omega = np.unique(np.concatenate([self.omega, found, between, outer]))
+
+    def crossings(self) -> tuple[Points, Points]:
+        """All frequencies inside the grid where a locus is real and negative, and where it has
+        modulus one: each with the locus there (k,).
+        """
+        if not self.omega.size:
+            none = Points(np.zeros(0), np.zeros(0, complex), np.zeros(0))
+            return none, none
+        # On a bare grid one locus may pass the negative axis while another passes the positive
+        # one the other way: seen from the left half-plane alone, that shows.
+        kinds = (log_size, sine) if self.complete else (log_size, sine, left_sine)
+        parts = [self._brackets(kind) for kind in kinds]
+        a, b, row, floor = (np.concatenate(part) for part in zip(*parts, strict=True))
+        axis = np.arange(len(a)) >= len(parts[0][0])
+        last = np.arange(len(a)) >= len(a) - len(parts[-1][0])
+        chosen = np.zeros(len(a), complex)
+
+        def f(omega: np.ndarray, i: np.ndarray) -> np.ndarray:
+            values = self._eigenvalues(omega)
+            g = np.where(axis[i], _apart(sine, values, floor[i]), log_size(values))
+            if len(parts) > 2:
+                g = np.where(last[i], _apart(left_sine, values, floor[i]), g)
+            at = np.argsort(g, axis=0)[row[i], np.arange(len(i))]
+            chosen[i] = values[at, np.arange(len(i))]
+            return g[at, np.arange(len(i))]
+
+        every = np.arange(len(a))
+        omega = find_roots(f, a, b, f(a, every), f(b, every)) if len(a) else a
+        left = f(omega, every) if len(a) else np.zeros(0)
+        found = self._known(Points(omega, chosen, np.zeros(len(a))))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            share = np.where(found.values != 0, found.noise / np.abs(found.values), np.inf)
+        # A change of sign that is no crossing: a pole or a zero on the boundary, arg = 0.
+        kept = (share < _UNKNOWN) & (np.abs(left) <= np.maximum(1e-6, 10 * share))
+        kept &= ~axis | (found.values.real < 0)
+        rank = np.argsort(omega, kind="stable")
+        if len(parts) > 2:
+            kept &= ~(last & self._seen(found, kept & axis & ~last))
+        sides = (rank[(kept & axis)[rank]], rank[(kept & ~axis)[rank]])
+        return tuple(Points(omega[s], chosen[s], found.noise[s]) for s in sides)
+
+    @staticmethod
+    def _seen(points: Points, those: np.ndarray) -> np.ndarray:
+        """Which points are among `those`."""
+        near = np.isclose(points.omega[:, None], points.omega[None, those], rtol=1e-9, atol=0.0)
+        gap = np.abs(points.values[:, None] - points.values[None, those])
+        same = near & (gap <= 1e-6 * np.abs(points.values[:, None]))
+        return same.any(axis=1)
+
+    def _known(self, points: Points) -> Points:
+        """The same points (one locus each) with the error bound of that locus."""
+        if not len(points.omega):
+            return points
+        L, bound = self.evaluate.with_accuracy(s_plane(points.omega, self.system.dt))
+        L = np.where(np.isfinite(L), L, 1e300)
+        values, noise = _with_noise(L, np.where(np.isfinite(bound), bound, np.inf))
+        at = np.argmin(np.abs(values - points.values), axis=0)
+        return Points(points.omega, points.values, noise[at, np.arange(len(at))])
+
+    def _brackets(self, kind: Callable) -> tuple[np.ndarray, ...]:
+        """Ends, row and size of "zero" of every change of sign of a sorted value."""
+        omega = self.omega
+        f, clear = self._signs(kind, self.raw, self.noise)
+        if not self.complete:
+            omega, f, clear = self._dipped(kind, omega, f, clear)
+        rows, left, right = [], [], []
+        for m in range(len(f)):
+            at = np.flatnonzero(clear[m])
+            i, j = at[:-1], at[1:]
+            # A long stretch without a sign is a locus that runs along the line, no crossing.
+            short = (j - i <= 3) | (omega[j - 1] < _STRAIGHT * omega[np.minimum(i + 1, j)])
+            flip = (f[m, i] * f[m, j] < 0) & short
+            left.append(i[flip])
+            right.append(j[flip])
+            rows.append(np.full(flip.sum(), m))
+        i, j = np.concatenate(left), np.concatenate(right)
+        near = np.clip(np.searchsorted(self.omega, omega[i]), 0, len(self.omega) - 1)
+        floor = 2 * self.noise[:, near].max(axis=0) if len(i) else np.zeros(0)
+        return omega[i], omega[j], np.concatenate(rows), floor
+
+    def _signs(
+        self, kind: Callable, values: np.ndarray, noise: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """`kind` sorted by size at each frequency, and where it has a sign."""
+        f = _apart(kind, values, 2 * noise)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            room = np.where(np.abs(values) <= 2 * noise, 0.0, 2 * noise / np.abs(values))
+        clear = (np.abs(f) > room) & np.isfinite(noise)
+        order = np.argsort(f, axis=0)
+        return np.take_along_axis(f, order, 0), np.take_along_axis(clear, order, 0)
+
+    def _dipped(
+        self, kind: Callable, omega: np.ndarray, f: np.ndarray, clear: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Without a pencil: follow near misses to their bottom, where two crossings may hide."""
+        for _ in range(20):
+            here, size = f[:, 1:-1], np.abs(f)
+            dip = (size[:, 1:-1] <= size[:, :-2]) & (size[:, 1:-1] <= size[:, 2:])
+            dip &= (size[:, 1:-1] < 0.3) & clear[:, 1:-1]
+            dip &= (f[:, :-2] * here > 0) & (f[:, 2:] * here > 0)
+            # A smooth bottom lies below the middle by less than its neighbours lie above.
+            dip &= size[:, 1:-1] < 4 * (np.maximum(size[:, :-2], size[:, 2:]) - size[:, 1:-1])
+            at = np.flatnonzero(dip.any(axis=0)) + 1
+            at = at[omega[at + 1] > omega[at - 1] * (1 + 1e-7)]
+            if not at.size or len(omega) + 2 * at.size > 2 * grid.MOST:
+                break
+            new = np.unique(np.sqrt(omega[np.r_[at, at]] * omega[np.r_[at - 1, at + 1]]))
+            L, bound = self.evaluate.with_accuracy(s_plane(new, self.system.dt))
+            g, sure = self._signs(kind, *_with_noise(L, bound))
+            where = np.searchsorted(omega, new)
+            omega = np.insert(omega, where, new)
+            f, clear = np.insert(f, where, g, axis=1), np.insert(clear, where, sure, axis=1)
+        return omega, f, clear
+
+
+def _apart(kind: Callable, values: np.ndarray, floor: np.ndarray) -> np.ndarray:
+    """`kind`, with loci that are 0 to rounding on one side for good: they have no direction."""
+    f = kind(values)
+    return f if kind is log_size else np.where(np.abs(values) <= floor, 1.0, f)
+
+
+def _with_noise(L: np.ndarray, bound: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues (q, k) of L (q, q, k) and bounds of their errors.
+
+    |d lambda| <= cond(V) |dL|_F [Bauer and Fike 1960], and for nearly defective L at most
+    (2 |L| + |dL|)^(1 - 1/q) |dL|^(1/q) [Elsner; Stewart and Sun 1990, theorem IV.1.3].
+    """
+    q = L.shape[0]
+    if q == 1:
+        return L[0], bound[0]
+    if not L.shape[2]:
+        return np.zeros((q, 0), complex), np.zeros((q, 0))
+    matrices = np.moveaxis(L, -1, 0)
+    values, vectors = np.linalg.eig(np.where(np.isfinite(matrices), matrices, 1e300))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        size = np.sqrt((bound**2).sum(axis=(0, 1)))
+        s = np.linalg.svd(vectors, compute_uv=False)
+        skew = np.where(s[:, -1] > 0, s[:, 0] / s[:, -1], np.inf)
+        norm = np.sqrt((np.abs(L) ** 2).sum(axis=(0, 1)))
+        elsner = (2 * norm + size) ** (1 - 1 / q) * size ** (1 / q)
+        noise = np.fmin(size * skew, elsner)
+    return values.T, np.tile(noise, (q, 1))
 
 
 def track(values: np.ndarray) -> np.ndarray:
     """Reorder columns of (q, k) so that each row is a continuous path (nearest assignment)."""
     values = np.array(values)
-    for i in range(1, values.shape[1]):
+    q, k = values.shape
+    if q < 2 or k < 2:
+        return values
+    if q <= 4:
+        every = np.array(list(permutations(range(q))))
+        with np.errstate(over="ignore", invalid="ignore"):
+            gaps = np.abs(values[:, None, :-1] - values[None, :, 1:])
+            costs = sum(gaps[i, every[:, i]] for i in range(q))  # (q!, k - 1)
+        best = every[np.argmin(np.where(np.isnan(costs), np.inf, costs), axis=0)]
+        place = np.arange(q)
+        places = np.empty((k, q), int)
+        places[0] = place
+        for i in range(k - 1):  # compose the steps
+            place = best[i][place]
+            places[i + 1] = place
+        return np.take_along_axis(values, places.T, axis=0)
+    for i in range(1, k):
         cost = np.abs(values[:, i - 1][:, None] - values[:, i][None])
         cost = np.where(np.isfinite(cost), cost, 1e300)
         values[:, i] = values[linear_sum_assignment(cost)[1], i]

@@ -7,16 +7,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 import scipy.linalg as sla
-from scipy.optimize import minimize_scalar
 
 from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError
 from cellsys.response.frequency import check_omega
+from cellsys.response.disk import disk_margin
 from cellsys.response.loci import Loci
 from cellsys.response.realization import EPS, Realization, balance, balancing, realization
-from cellsys.response.resolvent import s_plane
 
 
 @checked
@@ -151,73 +150,45 @@ def _null(M: np.ndarray, tol: float) -> tuple[int, np.ndarray]:
     return count, Vt[: M.shape[1] - count].T
 
 
-def _log_size(value: complex) -> float:
-    return float(np.log(abs(value))) if value != 0 else -np.inf
+def _above(values: np.ndarray) -> np.ndarray:
+    """Phase above -180 deg, (-180, 180]."""
+    angle = np.angle(-values, deg=True)
+    return np.where(angle == -180.0, 180.0, angle)
 
 
-def _imaginary(value: complex) -> float:
-    """Im L / |L|, with a positive real part moved away from 0: only Re L < 0 is a crossing."""
-    size = abs(value)
-    if size == 0:
-        return 0.0
-    return float(value.imag / size) if value.real < 0 else (1.0 if value.imag >= 0 else -1.0)
+def _at_the_ends(loci: Loci) -> tuple[np.ndarray, np.ndarray]:
+    """Crossings at 0 and at pi/dt or infinity, where L is real: rows as in `Margins`.
+
+    A real negative locus; a locus of modulus one, which for L(0) = 1 means a turn of 180 deg.
+    """
+    at = np.tile(loci.ends.omega, (len(loci.ends.values), 1)).ravel()
+    values, noise = loci.ends.values.ravel(), loci.ends.noise.ravel()
+    size = np.abs(values)
+    real = (values.real < -noise) & (np.abs(values.imag) <= np.maximum(noise, 1e-12 * size))
+    unit = np.abs(size - 1) <= np.minimum(2 * noise + 4 * EPS, 1e-6)
+    phase = np.column_stack([at[real], 1 / size[real]])
+    return phase, np.column_stack([at[unit], _above(values[unit])])
 
 
-def _real_ends(loci: Loci) -> list[tuple[float, complex]]:
-    """Frequencies 0 and pi/dt (or infinity), where L is real: a real negative locus counts."""
-    system, found = loci.system, []
-    points = [(0.0, 1.0 if system.is_discrete else 0.0)]
-    if system.is_discrete:
-        points.append((np.pi / system.dt, -1.0))
-    for omega, s in points:
-        L, bound = loci.evaluate.with_accuracy(np.array([s], dtype=complex))
-        if not np.all(np.isfinite(L)) or not np.all(np.isfinite(bound)):
-            continue
-        size = float(np.sqrt((bound**2).sum()))
-        for value in np.linalg.eigvals(L[:, :, 0]):
-            if value.real < -size and abs(value.imag) <= max(size, 1e-12 * abs(value)):
-                found.append((omega, complex(value)))
-    if not system.is_discrete and system.D.size:
-        for value in np.linalg.eigvals(system.D):
-            if value.real < 0 and abs(value.imag) <= 1e-12 * abs(value):
-                found.append((np.inf, complex(value)))
-    return found
+def _crossings(loci: Loci) -> tuple[np.ndarray, np.ndarray]:
+    """`Margins.phase_crossings` and `Margins.gain_crossings`."""
+    real, unit = loci.crossings()
+    phase, gain = _at_the_ends(loci)
+    inner = np.column_stack([real.omega, 1 / np.abs(real.values)])
+    phase = np.concatenate([inner, phase])
+    gain = np.concatenate(
+        [np.column_stack([unit.omega, _above(unit.values)]), gain]
+    )
+    # L = -1 is both, also where the locus runs along the unit circle and never crosses it.
+    share = np.append(real.noise / np.abs(real.values), np.zeros(len(phase) - len(real.omega)))
+    for omega in phase[np.abs(np.log(phase[:, 1])) <= 2 * share + 8 * EPS, 0]:
+        if not np.any(np.isclose(gain[:, 0], omega, rtol=1e-6, atol=0.0)):
+            gain = np.concatenate([gain, [[omega, 0.0]]])
+    return _sorted(phase), _sorted(gain)
 
 
-def _disk(loci: Loci) -> tuple[float, float]:
-    """2 / max of |(I + L)^-1 (I - L)| over the grid, its two ends, and polished at the peak."""
-    q = loci.L.shape[0]
-    identity = np.eye(q)
-
-    def size(L: np.ndarray) -> float:
-        try:
-            return float(sla.svdvals(np.linalg.solve(identity + L, identity - L))[0])
-        except np.linalg.LinAlgError:
-            return np.inf
-
-    values = np.array([size(L) for L in np.moveaxis(loci.L, -1, 0)])
-    i = int(np.argmax(values))
-    lo, hi = max(i - 1, 0), min(i + 1, len(values) - 1)
-    omega, peak = float(loci.omega[i]), float(values[i])
-
-    def negative(x: float) -> float:
-        return -size(loci.evaluate.at(complex(s_plane(np.exp([x]), loci.system.dt)[0])))
-
-    if hi > lo and np.isfinite(peak):
-        best = minimize_scalar(
-            negative, bounds=tuple(np.log(loci.omega[[lo, hi]])), method="bounded",
-            options={"xatol": 1e-9},
-        )
-        if -best.fun > peak:
-            omega, peak = float(np.exp(best.x)), float(-best.fun)
-    discrete = loci.system.is_discrete
-    top = np.pi / loci.system.dt if discrete else np.inf
-    ends = [(0.0, loci.evaluate.at(1.0 if discrete else 0.0))]
-    ends.append((top, loci.evaluate.at(-1.0) if discrete else loci.system.D))
-    for end, L in ends:
-        if np.all(np.isfinite(L)) and size(L) > peak * (1 + 1e-12):
-            omega, peak = end, size(L)
-    return (2.0 / peak if peak > 0 else np.inf), omega
+def _sorted(rows: np.ndarray) -> np.ndarray:
+    return rows[np.argsort(rows[:, 0], kind="stable")]
 
 
 @checked
@@ -270,16 +241,12 @@ def margins(sys: LinearSystem, omega: np.ndarray | None = None) -> Margins:
     closed = closed_loop_matrix(system)
     solvable = closed.shape == system.A.shape
     Z, edge = _unstable(closed, system.dt)
-    if system.n_inputs == 0 or not loci.omega.size:
+    if not loci.omega.size:
         phase, gain, disk = np.zeros((0, 2)), np.zeros((0, 2)), (np.inf, np.nan)
     else:
-        real = loci.crossings(_imaginary, lambda v, e: 2 * e / np.abs(v)) + _real_ends(loci)
-        real = [(w, v) for w, v in real if v.real < 0]
-        unit = loci.crossings(_log_size, lambda v, e: 2 * e / np.abs(v))
-        phase = np.array([(w, 1 / abs(v)) for w, v in real]).reshape(-1, 2)
-        gain = np.array([(w, np.angle(-v, deg=True)) for w, v in unit]).reshape(-1, 2)
-        disk = _disk(loci)
-    picked = _pick(phase, gain)
+        phase, gain = _crossings(loci)
+        disk = disk_margin(loci)
+    picked = _pick(phase, gain, loci)
     fixed = _fixed_integrators(system)
     return Margins(
         *picked, phase, gain, *disk, P, Z, Z - P, fixed, solvable and Z == 0 and edge <= fixed,
@@ -287,7 +254,7 @@ def margins(sys: LinearSystem, omega: np.ndarray | None = None) -> Margins:
     )
 
 
-def _pick(phase: np.ndarray, gain: np.ndarray) -> tuple[float, ...]:
+def _pick(phase: np.ndarray, gain: np.ndarray, loci: Loci) -> tuple[float, ...]:
     """Gain, phase and delay margin with their frequencies, then the gain margins up and down."""
     gm, gm_w, up, down = np.inf, np.nan, np.inf, 0.0
     if len(phase):
@@ -299,7 +266,14 @@ def _pick(phase: np.ndarray, gain: np.ndarray) -> tuple[float, ...]:
     if len(gain):
         i = int(np.argmin(np.abs(gain[:, 1])))
         pm_w, pm = float(gain[i, 0]), float(gain[i, 1])
-        delays = np.deg2rad(gain[:, 1] % 360.0) / gain[:, 0]
+    # A delay turns nothing at 0, and everything at infinity.
+    lag = np.deg2rad(gain[:, 1] % 360.0)
+    useful = (gain[:, 0] > 0) | (lag == 0)
+    delays = lag[useful] / np.where(lag[useful] > 0, gain[useful, 0], 1.0)
+    if len(delays):
         i = int(np.argmin(delays))
-        dm_w, dm = float(gain[i, 0]), float(delays[i])
+        dm_w, dm = float(gain[useful][i, 0]), float(delays[i])
+    high = loci.ends.values[:, loci.ends.omega == np.inf]
+    if np.any(np.abs(high) >= 1 - 4 * EPS) and dm > 0:
+        dm, dm_w = 0.0, np.inf
     return gm, gm_w, pm, pm_w, dm, dm_w, up, down

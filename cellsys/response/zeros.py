@@ -8,7 +8,7 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem
 from cellsys.errors import ParameterError
-from cellsys.response.realization import EPS, balance, realization
+from cellsys.response.realization import EPS, Realization, balance, realization
 from cellsys.response.roots import RootSet, order
 from cellsys.response.spectrum import pencil_spectrum, spectrum
 
@@ -76,13 +76,40 @@ def zeros(sys: LinearSystem, *, rank_tol: float | None = None, infinite: float =
     Emami-Naeini and Van Dooren, Automatica 18 (1982) 415-430.
     """
     system = realization(sys).dense()
-    n, m, p = system.n_states, system.n_inputs, system.n_outputs
     if rank_tol is not None and not 0 <= rank_tol < 1:
         raise ParameterError(f"rank_tol must lie in [0, 1), got {rank_tol!r}")
-    empty = spectrum(np.zeros((0, 0)))
-    if n == 0 or m == 0 or p == 0:
-        note = "no states, inputs or outputs" if n else "no states"
+    values, note, pencil = zero_values(system, rank_tol, infinite)
+    if pencil is None:
+        empty = spectrum(np.zeros((0, 0)))
         return RootSet(empty.values, kind="zero", dt=system.dt, detail=empty, note=note)
+    A_f, E_f, norm = pencil
+    delta = (10 + np.sqrt(system.n_states)) * EPS
+    found = pencil_spectrum(A_f, E_f, delta * norm, delta)
+    keep = np.flatnonzero(np.abs(found.values) <= infinite * norm)
+    keep = keep[order(found.values[keep])]
+    detail = type(found)(
+        found.values[keep], found.condition[keep], found.bound[keep],
+        np.unique(found.cluster[keep], return_inverse=True)[1], found.backward,
+    )
+    return RootSet(detail.values, kind="zero", dt=system.dt, detail=detail, note=note)
+
+
+def zero_values(
+    system: Realization, rank_tol: float | None = None, infinite: float = 1e10
+) -> tuple[np.ndarray, str, tuple[np.ndarray, np.ndarray, float] | None]:
+    """The finite zeros alone, without error bounds; parameters as for `zeros`.
+
+    Returns
+    -------
+    values : complex array (k,)
+    note : str
+    pencil : (A, E, norm) or None
+        Finite pencil the zeros are eigenvalues of, and |[[A, B], [C, D]]|_F; None without zeros.
+    """
+    n, m, p = system.n_states, system.n_inputs, system.n_outputs
+    none = np.zeros(0, complex)
+    if n == 0 or m == 0 or p == 0:
+        return none, "no states, inputs or outputs" if n else "no states", None
     b = balance(system)
     norm = float(np.sqrt(sum(sla.norm(M) ** 2 for M in (b.A, b.B, b.C, b.D))))
     tol = (10 * (n + max(m, p)) * EPS if rank_tol is None else rank_tol) * norm
@@ -91,20 +118,14 @@ def zeros(sys: LinearSystem, *, rank_tol: float | None = None, infinite: float =
     note = f"rank tolerance {tol:.1e}, infinite beyond {infinite * norm:.1e}"
     k = A.shape[0]
     if k == 0:
-        return RootSet(empty.values, kind="zero", dt=system.dt, detail=empty, note=note)
+        return none, note, None
     r = D.shape[0]
     # Columns W that span the null space of [C D]: z I - A on it is the finite pencil.
     W = sla.qr(np.hstack([C, D]).T)[0][:, r:] if r else np.eye(k)
     A_f, E_f = np.hstack([A, B]) @ W, W[:k]
-    delta = (10 + np.sqrt(n)) * EPS
-    found = pencil_spectrum(A_f, E_f, delta * norm, delta)
-    keep = np.flatnonzero(np.abs(found.values) <= infinite * norm)
-    keep = keep[order(found.values[keep])]
-    dropped = k - len(keep)
-    if dropped:
-        note += f", {dropped} left out"
-    detail = type(found)(
-        found.values[keep], found.condition[keep], found.bound[keep],
-        np.unique(found.cluster[keep], return_inverse=True)[1], found.backward,
-    )
-    return RootSet(detail.values, kind="zero", dt=system.dt, detail=detail, note=note)
+    values = sla.eigvals(A_f, E_f)
+    values = values[np.isfinite(values)]
+    kept = values[np.abs(values) <= infinite * norm]
+    if len(kept) < k:
+        note += f", {k - len(kept)} left out"
+    return kept, note, (A_f, E_f, norm)
