@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import scipy.linalg as sla
 
+from cellsys.errors import DataError
 from cellsys.response import pencils
 from cellsys.response.loci import Loci
-from cellsys.response.resolvent import s_plane
+from cellsys.response.realization import Realization
+from cellsys.response.resolvent import Resolvent, s_plane
 
 _PEAKS = 8  # local maxima of the grid that are climbed
 _RTOL = 1e-9
@@ -16,63 +19,79 @@ _ROWS = 120  # of a pencil that is solved several times; above, climbing costs l
 Size = Callable[[np.ndarray], np.ndarray]  # omega (k,) -> largest singular value (k,)
 
 
-def largest(L: np.ndarray) -> np.ndarray:
-    """Largest singular value of (I + L)^-1 (I - L) for L (q, q, k); inf where I + L is singular."""
-    q = L.shape[0]
-    if q == 1:
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            size = np.abs((1 - L[0, 0]) / (1 + L[0, 0]))
-        return np.where(np.isnan(size), np.inf, size)
-    matrices, I = np.moveaxis(L, -1, 0), np.eye(q)  # noqa: E741
-    try:
-        M = np.linalg.solve(I + matrices, I - matrices)
-    except np.linalg.LinAlgError:
-        # One singular matrix stops all: (1 - s)/(1 + s) of nearly I + L, bounded by its inverse.
-        s = np.linalg.svd(I + matrices, compute_uv=False)[:, -1]
-        regular = s > 0
-        out = np.full(len(s), np.inf)
-        if regular.any():
-            M = np.linalg.solve(I + matrices[regular], I - matrices[regular])
-            out[regular] = np.linalg.svd(M, compute_uv=False)[:, 0]
-        return out
-    return np.linalg.svd(M, compute_uv=False)[:, 0]
-
-
 def disk_margin(loci: Loci) -> tuple[float, float]:
     """2 over the largest |(I + L)^-1 (I - L)|, and its frequency (rad/s).
 
-    The frequencies where a singular value equals the largest found so far are eigenvalues of a
-    Hamiltonian matrix or a symplectic pencil, and the search goes on between them until there
-    are none [Bruinsma and Steinbuch, Systems and Control Letters 14 (1990) 287]. Where that is too
-    large, the peaks of the grid are climbed.
+    (I + L)^-1 (I - L) = 2 (I + L)^-1 - I is evaluated as a system of its own: it is finite at
+    poles of L, where L says nothing. The frequencies where a singular value equals the largest
+    found so far are eigenvalues of a Hamiltonian matrix or a symplectic pencil, and the search
+    goes on between them until there are none [Bruinsma and Steinbuch, Systems and Control Letters
+    14 (1990) 287]. Where that is too large, the peaks of the grid are climbed.
     """
-    dt = loci.system.dt
-
-    def size(omega: np.ndarray) -> np.ndarray:
-        return largest(loci.evaluate(s_plane(omega, dt)))
-
-    values = largest(loci.L)
-    values = np.where(np.isnan(values), np.inf, values)
-    by_levels = loci.fitting is not None and 2 * loci.system.n_states <= _ROWS
+    discrete = loci.system.is_discrete
+    top = np.pi / loci.system.dt if discrete else np.inf
+    M = _closed(loci.system)
+    if M is None and not discrete:
+        return 0.0, top  # I + L is singular at infinity
+    size = _of_matrices(loci) if M is None else _of_system(M)
+    values = size(loci.omega)
+    i = int(np.argmax(values))
+    omega, peak = float(loci.omega[i]), float(values[i])
+    by_levels = M is not None and loci.fitting is not None and 2 * M.n_states <= _ROWS
     if not by_levels:
         omega, peak = _climbed(size, loci.omega, values)
-    else:
-        i = int(np.argmax(values))
-        omega, peak = float(loci.omega[i]), float(values[i])
-    for end, L in _ends(loci):
-        if np.all(np.isfinite(L)) and (top := float(largest(L[:, :, None])[0])) > peak * (
-            1 + 1e-12
-        ):
-            omega, peak = end, top
-    if np.isfinite(peak) and by_levels:
-        omega, peak = _level_sets(loci.fitting, size, omega, peak)
+    for end in (0.0, top):
+        value = _largest(M.D[:, :, None])[0] if np.isinf(end) else size(np.array([end]))[0]
+        if value > peak * (1 + 1e-12):
+            omega, peak = end, float(value)
+    if by_levels and 0 < peak < np.inf:
+        omega, peak = _level_sets(pencils.fitting(M), size, omega, peak)
     return (2.0 / peak if peak > 0 else np.inf), omega
 
 
-def _ends(loci: Loci) -> list[tuple[float, np.ndarray]]:
-    if loci.system.is_discrete:
-        return [(0.0, loci.evaluate.at(1.0)), (np.pi / loci.system.dt, loci.evaluate.at(-1.0))]
-    return [(0.0, loci.evaluate.at(0.0)), (np.inf, loci.system.D.astype(complex))]
+def _closed(L: Realization) -> Realization | None:
+    """2 (I + L)^-1 - I: A - B F^-1 C, B F^-1, -2 F^-1 C, 2 F^-1 - I, F = I + D; None without."""
+    I = np.eye(L.n_inputs)  # noqa: E741
+    F = I + L.D
+    if np.linalg.svd(F, compute_uv=False)[-1] < 1e-14 * max(1.0, float(sla.norm(L.D))):
+        return None
+    K = np.linalg.solve(F, np.hstack([L.C, I]))
+    C, E = K[:, : L.n_states], K[:, L.n_states :]
+    try:
+        return Realization(L.A - L.B @ C, L.B @ E, -2 * C, 2 * E - I, L.dt)
+    except DataError:  # rates beyond what a Realization holds: L itself was at the edge
+        return None
+
+
+def _largest(M: np.ndarray) -> np.ndarray:
+    """Largest singular value of M (q, q, k); inf where it is not finite."""
+    if len(M) == 1:
+        values = np.abs(M[0, 0])
+    else:
+        finite = np.isfinite(M).all(axis=(0, 1))
+        values = np.full(M.shape[2], np.inf)
+        values[finite] = np.linalg.norm(np.moveaxis(M[:, :, finite], -1, 0), 2, axis=(1, 2))
+    return np.where(np.isfinite(values), values, np.inf)
+
+
+def _of_system(M: Realization) -> Size:
+    evaluate = Resolvent(M)
+    return lambda omega: _largest(evaluate(s_plane(omega, M.dt)))
+
+
+def _of_matrices(loci: Loci) -> Size:
+    I = np.eye(loci.system.n_inputs)  # noqa: E741
+
+    def size(omega: np.ndarray) -> np.ndarray:
+        L = np.moveaxis(loci.evaluate(s_plane(omega, loci.system.dt)), -1, 0)
+        out = np.full(len(L), np.inf)
+        F = np.where(np.isfinite(L), L, 0.0) + I
+        regular = np.isfinite(L).all(axis=(1, 2)) & (np.linalg.svd(F, compute_uv=False)[:, -1] > 0)
+        M = np.linalg.solve(F[regular], I - L[regular])
+        out[regular] = _largest(np.moveaxis(M, 0, -1))
+        return out
+
+    return size
 
 
 def _climbed(size: Size, omega: np.ndarray, values: np.ndarray) -> tuple[float, float]:
@@ -86,12 +105,11 @@ def _climbed(size: Size, omega: np.ndarray, values: np.ndarray) -> tuple[float, 
     top = top[np.argsort(values[top])[-_PEAKS:]]
     top = top[values[top] > 0.5 * peak]
     lo, hi = omega[np.maximum(top - 1, 0)], omega[np.minimum(top + 1, len(omega) - 1)]
-    share = np.linspace(0, 1, 9)
+    rows = np.arange(len(top))
     for _ in range(8):
-        points = lo[:, None] + (hi - lo)[:, None] * share
+        points = lo[:, None] + (hi - lo)[:, None] * np.linspace(0, 1, 9)
         found = size(points.ravel()).reshape(points.shape)
-        j = np.argmax(np.where(np.isnan(found), -np.inf, found), axis=1)
-        rows = np.arange(len(top))
+        j = np.argmax(found, axis=1)
         k = int(np.argmax(found[rows, j]))
         if found[k, j[k]] > peak:
             best, peak = float(points[k, j[k]]), float(found[k, j[k]])
@@ -101,12 +119,12 @@ def _climbed(size: Size, omega: np.ndarray, values: np.ndarray) -> tuple[float, 
 
 def _level_sets(fit: pencils.Fitting, size: Size, omega: float, peak: float) -> tuple[float, float]:
     for _ in range(10):
-        found = pencils.spread_level(fit, peak * (1 + _RTOL))
+        found = pencils.level(fit, peak * (1 + _RTOL))
         if not found.size:
             break
         trial = np.concatenate([found, np.sqrt(found[1:] * found[:-1])])
         values = size(trial)
-        i = int(np.argmax(np.where(np.isnan(values), -np.inf, values)))
+        i = int(np.argmax(values))
         if not values[i] > peak * (1 + _RTOL):
             break
         omega, peak = float(trial[i]), float(values[i])

@@ -24,8 +24,7 @@ from cellsys.response.realization import Realization
 from cellsys.response.resolvent import Resolvent, s_plane
 
 _DECADES = 40  # that a grid may be extended by at either end
-_UNKNOWN = 0.3  # relative error beyond which a value says nothing: a pole or zero on the boundary
-_STRAIGHT = 1.05  # ratio of frequencies over which a locus without a sign runs along the line
+_UNKNOWN = 0.05  # relative error beyond which a value says nothing: a pole or zero on the boundary
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,8 @@ class Loci:
         if omega is None:
             start = self._extended(grid.automatic(system))
             self.omega, _ = grid.refine(
-                self._eigenvalues, start, match=track if q > 1 else None, about=(0.0, -1.0)
+                self._eigenvalues if q == 1 else self._sizeable, start,
+                match=track if q > 1 else None, about=(0.0, -1.0),
             )
             self._complete()
         else:
@@ -124,6 +124,11 @@ class Loci:
         L = np.where(np.isfinite(L), L, 1e300)
         return L[0] if L.shape[0] == 1 else np.linalg.eigvals(np.moveaxis(L, -1, 0)).T
 
+    def _sizeable(self, omega: np.ndarray) -> np.ndarray:
+        """The same with 0 for what is only rounding of the others (L of a lower rank)."""
+        values = self._eigenvalues(omega)
+        return np.where(np.abs(values) > 1e-14 * np.abs(values).max(axis=0), values, 0.0)
+
     def _at_the_ends(self) -> Points:
         """0 and pi/dt, where L is real, or 0 and infinity, where it is D."""
         system = self.system
@@ -131,9 +136,8 @@ class Loci:
         points = np.array([1.0, -1.0] if system.is_discrete else [0.0], complex)
         L, bound = self.evaluate.with_accuracy(points)
         # Where A is singular to working precision, nothing is known of L(0): no end.
-        size = np.sqrt((np.abs(L) ** 2).sum(axis=(0, 1)))
-        known = np.isfinite(L).all(axis=(0, 1)) & np.isfinite(bound).all(axis=(0, 1))
-        known &= np.isfinite(size)
+        size = np.abs(L).max(axis=(0, 1))
+        known = np.isfinite(size) & (bound.max(axis=(0, 1)) <= np.maximum(0.1 * size, 1e-3))
         values, noise = _with_noise(L[:, :, known].real.astype(complex), bound[:, :, known])
         omega = np.array([0.0, top])[: len(points)][known]
         if not system.is_discrete:
@@ -154,27 +158,30 @@ class Loci:
             column = np.flatnonzero(self.ends.omega == at)
             if not column.size:
                 return None
-            f, noise = log_size(self.ends.values[:, column]), self.ends.noise[:, column]
-            if np.any(np.abs(f) <= 2 * noise):
+            size, noise = np.abs(self.ends.values[:, column]), self.ends.noise[:, column]
+            if np.any(np.abs(size - 1) <= 2 * noise):
                 return None  # on the circle: no number of decades would tell
-            return int(np.count_nonzero(f > 0))
+            return int(np.count_nonzero(size > 1))
 
         low, high = outside(0.0), outside(np.inf)
+        size = np.abs(self._eigenvalues(np.append(omega[:2], omega[-1])))
+        top = size[:, -1]
         for _ in range(_DECADES):
-            size = np.abs(self._eigenvalues(omega[:2]))
             if 0.0 in self.ends.omega:
                 more = low is not None and np.count_nonzero(size[:, 0] > 1) != low
             else:
-                size = np.sort(size, axis=0)
+                size = np.sort(size[:, :2], axis=0)
                 steep = size[:, 0] > size[:, 1] * (1 + 0.1 * (1 - omega[0] / omega[1]))
                 more = bool(np.any(steep & (size[:, 0] < 2)))
             if not more:
                 break
             omega = np.concatenate([edge * omega[0], omega])
-        for _ in range(_DECADES if high is not None else 0):
-            if np.count_nonzero(np.abs(self._eigenvalues(omega[-1:])) > 1) == high:
+            size = np.abs(self._eigenvalues(omega[:2]))
+        for _ in range(_DECADES):
+            if high is None or np.count_nonzero(top > 1) == high:
                 break
             omega = np.concatenate([omega, edge[1:] * omega[-1] * 10, [omega[-1] * 10]])
+            top = np.abs(self._eigenvalues(omega[-1:]))
         return omega
 
     def _complete(self) -> None:
@@ -197,62 +204,45 @@ class Loci:
         """All frequencies inside the grid where a locus is real and negative, and where it has
         modulus one: each with the locus there (k,).
         """
+        none = Points(np.zeros(0), np.zeros(0, complex), np.zeros(0))
         if not self.omega.size:
-            none = Points(np.zeros(0), np.zeros(0, complex), np.zeros(0))
             return none, none
         # On a bare grid one locus may pass the negative axis while another passes the positive
         # one the other way: seen from the left half-plane alone, that shows.
         kinds = (log_size, sine) if self.complete else (log_size, sine, left_sine)
         parts = [self._brackets(kind) for kind in kinds]
-        a, b, row, floor = (np.concatenate(part) for part in zip(*parts, strict=True))
-        axis = np.arange(len(a)) >= len(parts[0][0])
-        last = np.arange(len(a)) >= len(a) - len(parts[-1][0])
-        chosen = np.zeros(len(a), complex)
+        which = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])
+        a, b, fa, fb, row, floor = (np.concatenate(part) for part in zip(*parts, strict=True))
+        if not len(a):
+            return none, none
 
-        def f(omega: np.ndarray, i: np.ndarray) -> np.ndarray:
-            values = self._eigenvalues(omega)
-            g = np.where(axis[i], _apart(sine, values, floor[i]), log_size(values))
-            if len(parts) > 2:
-                g = np.where(last[i], _apart(left_sine, values, floor[i]), g)
+        def picked(values: np.ndarray, i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """The sorted value of each bracket, and the place of its locus."""
+            g = log_size(values)
+            for k, kind in enumerate(kinds[1:], 1):
+                g = np.where(which[i] == k, _apart(kind, values, floor[i]), g)
             at = np.argsort(g, axis=0)[row[i], np.arange(len(i))]
-            chosen[i] = values[at, np.arange(len(i))]
-            return g[at, np.arange(len(i))]
+            return g[at, np.arange(len(i))], at
 
-        every = np.arange(len(a))
-        omega = find_roots(f, a, b, f(a, every), f(b, every)) if len(a) else a
-        left = f(omega, every) if len(a) else np.zeros(0)
-        found = self._known(Points(omega, chosen, np.zeros(len(a))))
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            share = np.where(found.values != 0, found.noise / np.abs(found.values), np.inf)
-        # A change of sign that is no crossing: a pole or a zero on the boundary, arg = 0.
-        kept = (share < _UNKNOWN) & (np.abs(left) <= np.maximum(1e-6, 10 * share))
-        kept &= ~axis | (found.values.real < 0)
-        rank = np.argsort(omega, kind="stable")
-        if len(parts) > 2:
-            kept &= ~(last & self._seen(found, kept & axis & ~last))
-        sides = (rank[(kept & axis)[rank]], rank[(kept & ~axis)[rank]])
-        return tuple(Points(omega[s], chosen[s], found.noise[s]) for s in sides)
-
-    @staticmethod
-    def _seen(points: Points, those: np.ndarray) -> np.ndarray:
-        """Which points are among `those`."""
-        near = np.isclose(points.omega[:, None], points.omega[None, those], rtol=1e-9, atol=0.0)
-        gap = np.abs(points.values[:, None] - points.values[None, those])
-        same = near & (gap <= 1e-6 * np.abs(points.values[:, None]))
-        return same.any(axis=1)
-
-    def _known(self, points: Points) -> Points:
-        """The same points (one locus each) with the error bound of that locus."""
-        if not len(points.omega):
-            return points
-        L, bound = self.evaluate.with_accuracy(s_plane(points.omega, self.system.dt))
+        omega = find_roots(lambda w, i: picked(self._eigenvalues(w), i)[0], a, b, fa, fb)
+        L, bound = self.evaluate.with_accuracy(s_plane(omega, self.system.dt))
         L = np.where(np.isfinite(L), L, 1e300)
         values, noise = _with_noise(L, np.where(np.isfinite(bound), bound, np.inf))
-        at = np.argmin(np.abs(values - points.values), axis=0)
-        return Points(points.omega, points.values, noise[at, np.arange(len(at))])
+        left, at = picked(values, np.arange(len(a)))
+        values, noise = values[at, np.arange(len(a))], noise[at, np.arange(len(a))]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            share = np.where(values != 0, noise / np.abs(values), np.inf)
+        # A change of sign that is no crossing: a pole or a zero on the boundary.
+        kept = (share < _UNKNOWN) & (np.abs(left) <= np.maximum(1e-6, 2 * share))
+        kept &= (which == 0) | (values.real < 0)
+        if len(kinds) > 2:
+            kept &= ~((which == 2) & _seen(omega, values, kept & (which == 1)))
+        rank = np.argsort(omega, kind="stable")
+        sides = (rank[(kept & (which > 0))[rank]], rank[(kept & (which == 0))[rank]])
+        return tuple(Points(omega[s], values[s], noise[s]) for s in sides)
 
     def _brackets(self, kind: Callable) -> tuple[np.ndarray, ...]:
-        """Ends, row and size of "zero" of every change of sign of a sorted value."""
+        """Ends, values there, row and size of "zero" of each change of sign of a sorted value."""
         omega = self.omega
         f, clear = self._signs(kind, self.raw, self.noise)
         if not self.complete:
@@ -261,16 +251,16 @@ class Loci:
         for m in range(len(f)):
             at = np.flatnonzero(clear[m])
             i, j = at[:-1], at[1:]
-            # A long stretch without a sign is a locus that runs along the line, no crossing.
-            short = (j - i <= 3) | (omega[j - 1] < _STRAIGHT * omega[np.minimum(i + 1, j)])
-            flip = (f[m, i] * f[m, j] < 0) & short
+            # Over a stretch without a sign the locus runs along the line, and passes it somewhere.
+            flip = f[m, i] * f[m, j] < 0
             left.append(i[flip])
             right.append(j[flip])
             rows.append(np.full(flip.sum(), m))
         i, j = np.concatenate(left), np.concatenate(right)
         near = np.clip(np.searchsorted(self.omega, omega[i]), 0, len(self.omega) - 1)
         floor = 2 * self.noise[:, near].max(axis=0) if len(i) else np.zeros(0)
-        return omega[i], omega[j], np.concatenate(rows), floor
+        m = np.concatenate(rows)
+        return omega[i], omega[j], f[m, i], f[m, j], m, floor
 
     def _signs(
         self, kind: Callable, values: np.ndarray, noise: np.ndarray
@@ -313,6 +303,13 @@ def _apart(kind: Callable, values: np.ndarray, floor: np.ndarray) -> np.ndarray:
     return f if kind is log_size else np.where(np.abs(values) <= floor, 1.0, f)
 
 
+def _seen(omega: np.ndarray, values: np.ndarray, those: np.ndarray) -> np.ndarray:
+    """Which crossings are among `those`."""
+    near = np.isclose(omega[:, None], omega[None, those], rtol=1e-9, atol=0.0)
+    gap = np.abs(values[:, None] - values[None, those])
+    return (near & (gap <= 1e-6 * np.abs(values[:, None]))).any(axis=1)
+
+
 def _with_noise(L: np.ndarray, bound: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues (q, k) of L (q, q, k) and bounds of their errors.
 
@@ -328,8 +325,12 @@ def _with_noise(L: np.ndarray, bound: np.ndarray) -> tuple[np.ndarray, np.ndarra
     values, vectors = np.linalg.eig(np.where(np.isfinite(matrices), matrices, 1e300))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         size = np.sqrt((bound**2).sum(axis=(0, 1)))
-        s = np.linalg.svd(vectors, compute_uv=False)
-        skew = np.where(s[:, -1] > 0, s[:, 0] / s[:, -1], np.inf)
+        if q == 2:  # unit columns at an angle of cosine c
+            c = np.abs((vectors[:, :, 0].conj() * vectors[:, :, 1]).sum(axis=1))
+            skew = np.sqrt((1 + c) / np.maximum(1 - c, 1e-32))
+        else:
+            s = np.linalg.svd(vectors, compute_uv=False)
+            skew = np.where(s[:, -1] > 0, s[:, 0] / s[:, -1], np.inf)
         norm = np.sqrt((np.abs(L) ** 2).sum(axis=(0, 1)))
         elsner = (2 * norm + size) ** (1 - 1 / q) * size ** (1 / q)
         noise = np.fmin(size * skew, elsner)

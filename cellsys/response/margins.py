@@ -115,7 +115,7 @@ def _unstable(A: np.ndarray, dt: float) -> tuple[int, int]:
         return 0, 0
     A = balancing(A)[0]
     tol = 100 * len(A) * EPS * float(sla.norm(A))
-    values = sla.eigvals(A)
+    values = np.linalg.eigvals(A)
     excess = np.abs(values) - 1 if dt > 0 else values.real
     return int(np.count_nonzero(excess > tol)), int(np.count_nonzero(np.abs(excess) <= tol))
 
@@ -132,13 +132,13 @@ def _fixed_integrators(system: Realization) -> int:
     A = b.A - np.eye(n) if system.is_discrete else b.A
     norm = float(sla.norm(b.A))
     tol = 10 * n * EPS * norm
+    # A small singular value alone may only mean that A is far from normal.
+    slow = int(np.count_nonzero(np.abs(np.linalg.eigvals(A)) <= max(tol, 1e-6 * norm)))
+    if not slow:
+        return 0
     unseen, R = _null(np.vstack([A, b.C]), tol)
     unmoved, _ = _null(np.vstack([R.T @ A.T @ R, b.B.T @ R]), tol)
-    if unseen + unmoved == 0:
-        return 0
-    # A small singular value alone may only mean that A is far from normal.
-    slow = np.abs(sla.eigvals(A)) <= max(tol, 1e-6 * norm)
-    return min(unseen + unmoved, int(np.count_nonzero(slow)))
+    return min(unseen + unmoved, slow)
 
 
 def _null(M: np.ndarray, tol: float) -> tuple[int, np.ndarray]:
@@ -153,7 +153,7 @@ def _null(M: np.ndarray, tol: float) -> tuple[int, np.ndarray]:
 def _above(values: np.ndarray) -> np.ndarray:
     """Phase above -180 deg, (-180, 180]."""
     angle = np.angle(-values, deg=True)
-    return np.where(angle == -180.0, 180.0, angle)
+    return np.where(angle == -180.0, 180.0, angle) + 0.0
 
 
 def _at_the_ends(loci: Loci) -> tuple[np.ndarray, np.ndarray]:

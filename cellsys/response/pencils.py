@@ -147,17 +147,10 @@ def real_axis(fit: Fitting) -> np.ndarray:
     return _frequencies(_pencil(M, N), fit)
 
 
-def spread_level(fit: Fitting, level: float) -> np.ndarray:
-    """Candidates (rad/s) for a singular value of (I + L)^-1 (I - L) equal to `level`.
-
-    Its realisation is A - B F^-1 C, B F^-1, -2 F^-1 C, 2 F^-1 - I with F = I + D regular.
-    """
-    L = fit.block
-    if not len(L.A):
+def level(fit: Fitting, value: float) -> np.ndarray:
+    """Candidates (rad/s) for a singular value equal to `value`."""
+    M = fit.block
+    if not len(M.A):
         return np.zeros(0)
-    I = np.eye(len(L.D))  # noqa: E741
-    K = np.linalg.solve(I + L.D, np.hstack([L.C, I]))
-    C, E = K[:, : len(L.A)], K[:, len(L.A) :]
-    M = Block(L.A - L.B @ C, L.B @ E, -2 * C, 2 * E - I)
     back = Block(M.A.T, M.C.T, M.B.T, M.D.T, mirrored=True)
-    return _frequencies(_cascade(M, back, level**2, fit.dt), fit)
+    return _frequencies(_cascade(M, back, value**2, fit.dt), fit)

@@ -1,11 +1,13 @@
 """G(s) = C (s I - A)^-1 B + D at many points s, with its accuracy, by the fitting route.
 
 Few channels: one controller-Hessenberg form per input (or per output of the transposed system).
-Many channels: one Schur form. Sparse A: one sparse LU per point.
+Many channels: one Schur form. Few points of a small A: one LU each, all in one call. Sparse A:
+one sparse LU per point.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,6 +23,7 @@ from cellsys.response.realization import EPS, Realization, balance
 _CHANNELS = 8
 _CHUNK = 500  # points at a time: measured best for n = 50..1000, rows of 16 kB
 _BYTES = 64_000_000  # of state columns held at a time
+_SMALL, _FEW = 30, 20  # states and points: below, preparing costs more than solving
 
 
 def s_plane(omega: np.ndarray, dt: float) -> np.ndarray:
@@ -93,7 +96,7 @@ class Resolvent:
         step = max(16, min(_CHUNK, _BYTES // (16 * max(n, 1) * channels)))
         for lo in range(0, len(s), step):
             part = slice(lo, lo + step)
-            route = self._sparse if self.system.is_sparse else self._dense
+            route = self._route(len(s))
             G[:, :, part], right, left = route(s[part], accuracy)
             if accuracy:
                 with np.errstate(invalid="ignore", over="ignore"):
@@ -108,6 +111,24 @@ class Resolvent:
             bound += EPS * (np.abs(D) + 4 * np.abs(G))
         with np.errstate(invalid="ignore"):
             return G + D, bound
+
+    def _route(self, points: int) -> Callable[[np.ndarray, bool], tuple[np.ndarray, Any, Any]]:
+        if self.system.is_sparse:
+            return self._sparse
+        return self._direct if self.system.n_states <= _SMALL and points <= _FEW else self._dense
+
+    def _direct(self, s: np.ndarray, accuracy: bool) -> tuple[np.ndarray, Any, Any]:
+        b = self._b
+        M = s[:, None, None] * np.eye(len(b.A)) - b.A
+        try:
+            X = np.linalg.solve(M, b.B[None].astype(complex))
+            Y = np.linalg.solve(np.swapaxes(M, 1, 2), b.C.T[None].astype(complex)) if accuracy else X
+        except np.linalg.LinAlgError:  # one of the points is a pole
+            return self._dense(s, accuracy)
+        G = np.moveaxis(b.C @ X, 0, -1) / self._scale[:, :, None]
+        if not accuracy:
+            return G, None, None
+        return G, np.linalg.norm(X, axis=1).T, np.linalg.norm(Y, axis=1).T
 
     def _dense(self, s: np.ndarray, accuracy: bool) -> tuple[np.ndarray, Any, Any]:
         b, scale = self._b, self._scale[:, :, None]

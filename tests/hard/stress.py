@@ -98,12 +98,17 @@ SEED = Int(0, 10**6)
 
 @dataclass(frozen=True)
 class Case:
-    """A property, the space its parameters are drawn from, and the time an instance may take."""
+    """A property, the space its parameters are drawn from, and the time an instance may take.
+
+    `oracle`: the property is agreement with code that shares nothing with the toolbox; the
+    summary names it.
+    """
 
     name: str
     check: Callable[..., None]
     space: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 30.0
+    oracle: bool = False
 
 
 class TooLong(Exception):
