@@ -83,12 +83,11 @@ def bode_family(found: Mapping[float, Any], axes: Any = None) -> Any:
     upper, lower = axes
     for k, (t, margins) in enumerate(found.items()):
         color = plt.get_cmap("viridis")(k / max(len(found) - 1, 1) * 0.9)
-        omega, value = margins.loci.omega, margins.loci.values[0]
+        value = margins.loci.values[0]
         shown = np.abs(value) > 0
-        omega, value = omega[shown], value[shown]
+        omega, value = margins.loci.omega[shown], value[shown]
         upper.semilogx(omega, 20 * np.log10(np.abs(value)), color=color, label=f"t = {t:g} s")
-        phase = np.rad2deg(np.unwrap(np.angle(value)))
-        lower.semilogx(omega, phase - 360 * np.round((phase[0] + 90) / 360), color=color)
+        lower.semilogx(omega, np.rad2deg(margins.loci.phase[0, shown]), color=color)
     upper.set(ylabel="|L| (dB)")
     lower.set(ylabel="phase (deg)", xlabel="frequency (rad/s)")
     upper.legend(fontsize="small")

@@ -53,13 +53,13 @@ def bode(result: Any, ax: Any = None) -> Any:
     margins = hasattr(result, "loci")
     omega = result.loci.omega if margins else result.omega
     lines = [(v, "") for v in result.loci.values] if margins else _channels(result)
-    for value, label in lines:
+    # From the low-frequency asymptote on: 1/s^3 starts at -270 deg.
+    phases = np.rad2deg(result.loci.phase if margins else result.phase).reshape(-1, len(omega))
+    for (value, label), phase in zip(lines, phases, strict=True):
         shown = np.abs(value) > 0
-        w, value = omega[shown], value[shown]
+        w, value, phase = omega[shown], value[shown], phase[shown]
         upper.semilogx(w, 20 * np.log10(np.abs(value)), label=label or None)
         if lower is not None and len(w):
-            phase = np.rad2deg(np.unwrap(np.angle(value)))
-            phase -= 360 * np.round((phase[0] + 90) / 360)  # start in (-270, 90]
             lower.semilogx(w, phase)
             for at, _ in result.gain_crossings if margins and len(lines) == 1 else ():
                 lower.plot(at, np.interp(np.log(at), np.log(w), phase), "o", color="C3", ms=5)

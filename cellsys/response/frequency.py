@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,6 +13,7 @@ from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.response import grid
+from cellsys.response.phase import anchored, continuous_phase
 from cellsys.response.realization import LARGEST, Realization, realization
 from cellsys.response.resolvent import Resolvent, s_plane
 from cellsys.units import real_array
@@ -34,6 +36,8 @@ class FrequencyResponse(Drawable):
         0 in continuous time, else the sampling time, s.
     inputs, outputs : tuple of str
         Names.
+    system : Realization, optional
+        Whose response it is: where its phase starts is read from it.
     """
 
     _figure: ClassVar[str] = "bode"
@@ -43,16 +47,25 @@ class FrequencyResponse(Drawable):
     dt: float
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    system: Realization | None = field(default=None, repr=False)
 
     @property
     def magnitude(self) -> np.ndarray:
         """|G|, (p, m, k)."""
         return np.abs(self.response)
 
-    @property
+    @cached_property
     def phase(self) -> np.ndarray:
-        """Phase in rad, unwrapped along the frequencies, (p, m, k)."""
-        return np.unwrap(np.angle(self.response), axis=-1)
+        """Phase in rad, (p, m, k): a continuous curve from the low-frequency asymptote on.
+
+            G -> K/s^m as s -> 0:  -90 m deg for K > 0, -90 m - 180 deg for K < 0
+
+        1/s^3 starts at -270 deg. Without a system: unwrapped along the frequencies, from
+        (-270, 90] deg.
+        """
+        if self.system is None:
+            return anchored(np.unwrap(np.angle(self.response), axis=-1), 0.0)
+        return continuous_phase(self.system, self.omega, self.response)
 
     @property
     def singular_values(self) -> np.ndarray:
@@ -165,7 +178,7 @@ def frequency_response(
     if bound is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
             bound = np.where(bound == 0, 0.0, bound / np.abs(G))
-    return FrequencyResponse(array, G, bound, system.dt, system.inputs, system.outputs)
+    return FrequencyResponse(array, G, bound, system.dt, system.inputs, system.outputs, system)
 
 
 def _flat(G: np.ndarray) -> np.ndarray:

@@ -20,6 +20,7 @@ from scipy.optimize import linear_sum_assignment
 
 from cellsys.response import grid, pencils
 from cellsys.response.brackets import find_roots
+from cellsys.response.phase import anchored, continuous_phase
 from cellsys.response.realization import Realization
 from cellsys.response.resolvent import Resolvent, s_plane
 
@@ -118,6 +119,19 @@ class Loci:
     def values(self) -> np.ndarray:
         """The loci (q, k), each row one continuous path: for drawing."""
         return track(self.raw)
+
+    @cached_property
+    def phase(self) -> np.ndarray:
+        """Phase in rad (q, k) of `values`, from the low-frequency asymptote on."""
+        if len(self.raw) == 1:
+            return continuous_phase(self.system, self.omega, self.L)[0]
+        if not self.raw.size:
+            return np.zeros(self.raw.shape)
+        size = np.abs(self.values[:, [0, min(1, len(self.omega) - 1)]])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            power = -np.log(size[:, 1] / size[:, 0]) / np.log(self.omega[1:2] / self.omega[0])
+        order = np.where(np.isfinite(power), np.round(power), 0.0)
+        return anchored(np.unwrap(np.angle(self.values), axis=-1), order)
 
     def _eigenvalues(self, omega: np.ndarray) -> np.ndarray:
         L = self.evaluate(s_plane(omega, self.system.dt))

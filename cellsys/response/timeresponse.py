@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy.linalg as sla
 
 from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.response.realization import EPS, Realization, balancing, realization
+from cellsys.response.realization import EPS, Realization, realization
 from cellsys.response.sampling import exponential
+from cellsys.response.timeaxis import automatic_times
+from cellsys.units import real_array
 
 
 @checked
@@ -52,8 +54,8 @@ class TimeResponse(Drawable):
 
 def _times(system: Realization, t: Any) -> np.ndarray:
     if t is None:
-        return _automatic(system)
-    array = np.asarray(t, dtype=float)
+        return automatic_times(system)
+    array = real_array(t, "t")
     if array.ndim != 1 or not len(array):
         raise DimensionError(f"t must be one-dimensional and not empty, got shape {array.shape}")
     if not np.all(np.isfinite(array)):
@@ -65,24 +67,6 @@ def _times(system: Realization, t: Any) -> np.ndarray:
         if np.any(np.abs(steps - np.rint(steps)) > 1e-6):
             raise ParameterError(f"t must lie on multiples of the sampling time {system.dt:g} s")
     return array
-
-
-def _automatic(system: Realization) -> np.ndarray:
-    """To seven time constants of the slowest mode that is not an integrator; 501 points."""
-    if not system.n_states:
-        return np.arange(11) * (system.dt or 0.1)
-    A = balancing(system.A)[0]
-    values = sla.eigvals(A)
-    if system.is_discrete:
-        values = np.log(np.where(np.abs(values) < 1e-12, 1e-12, values)) / system.dt
-    floor = 1e-8 * max(float(np.abs(values).max()), 1e-300)
-    rates = np.abs(values.real)
-    rates = rates[rates > floor]
-    turns = np.abs(values.imag)
-    end = 7.0 / rates.min() if rates.size else 10.0 / max(float(turns.max()), 0.1)
-    if system.is_discrete:
-        return np.arange(int(np.clip(np.ceil(end / system.dt), 10, 5000)) + 1) * system.dt
-    return np.linspace(0.0, end, 501)
 
 
 def _march(
@@ -132,13 +116,45 @@ def _steps(system: Realization, t: np.ndarray, x: np.ndarray, drive: np.ndarray)
     return out
 
 
-def _finite(x: np.ndarray, t: np.ndarray) -> np.ndarray:
-    bad = ~np.isfinite(x.reshape(len(x), -1)).all(axis=1)
+def _free(
+    transition: Callable[[float], np.ndarray], steps: np.ndarray, x: np.ndarray
+) -> np.ndarray:
+    """x, and what it becomes after each of the steps (k,): by powers of the matrix of each run of
+    equal steps, which doubles what is known, up to 512 steps at a time.
+    """
+    out = np.empty((len(steps) + 1, *x.shape))
+    out[0] = x
+    digits = np.array([float(f"{h:.12e}") for h in steps]) if len(steps) < 5000 else steps
+    ends = np.append(np.flatnonzero(np.diff(digits) != 0) + 1, len(steps))
+    known: dict[float, np.ndarray] = {}
+    i = 0
+    for j in ends if len(steps) else ():
+        key = float(f"{steps[i]:.12e}")
+        if key not in known:
+            if len(known) > 64:
+                known.clear()
+            known[key] = transition(float(steps[i]))
+        power, width, reach = known[key], 1, 1
+        while i + width <= j:  # out[i : i + width] is known, power takes `reach` steps
+            take = min(reach, int(j) + 1 - i - width)
+            from_ = i + width - reach
+            out[i + width : i + width + take] = power @ out[from_ : from_ + take]
+            width += take
+            if reach < 512 and width == 2 * reach and i + width <= j:
+                power, reach = power @ power, width
+        i = int(j)
+    return out
+
+
+def _checked(t: np.ndarray, *arrays: np.ndarray) -> None:
+    """DataError with the first time at which something is not finite."""
+    bad = np.zeros(len(t), bool)
+    for array in arrays:
+        bad |= ~np.isfinite(array.reshape(len(array), -1)).all(axis=1)
     if np.any(bad):
         raise DataError(
             f"the response overflows at t = {t[np.argmax(bad)]:.6g} s: an unstable mode; shorten t"
         )
-    return x
 
 
 @checked
@@ -151,7 +167,7 @@ def step_response(sys: LinearSystem, t: np.ndarray | None = None) -> TimeRespons
     ----------
     sys : control.StateSpace or tuple of arrays
     t : array (k,), optional
-        Rising, s; on sampling instants of a discrete system. Default: seven time constants.
+        Rising, s; on sampling instants of a discrete system. Default: `automatic_times`.
 
     Returns
     -------
@@ -175,15 +191,21 @@ def step_response(sys: LinearSystem, t: np.ndarray | None = None) -> TimeRespons
     t = _times(system, t)
     n, m = system.n_states, system.n_inputs
     grid, lead = _from_zero(t)
-    if system.is_discrete:
-        count = round(grid[-1] / system.dt) + 1
-        x = _steps(system, grid, np.zeros((n, m)), np.broadcast_to(np.eye(m), (count, m, m)))
-    else:
-        x = _march(system, grid, np.zeros((n, m)), np.broadcast_to(np.eye(m), (len(grid), m, m)),
-                   False)
-    x = _finite(x[lead:], t)
-    return TimeResponse(t, system.C @ x + system.D, x, "step", system.inputs, system.outputs,
-                        system.dt)
+    with np.errstate(over="ignore", invalid="ignore"):
+        held = np.eye(n + m)  # the inputs are states that stay
+
+        def transition(h: float) -> np.ndarray:
+            if system.is_discrete:
+                held[:n, :n], held[:n, n:] = system.A, system.B
+                return np.linalg.matrix_power(held, round(h / system.dt))
+            held[:n] = exponential(system.A, system.B, h)
+            return held.copy()
+
+        start = np.vstack([np.zeros((n, m)), np.eye(m)])
+        x = _free(transition, np.diff(grid), start)[lead:, :n]
+        y = system.C @ x + system.D
+    _checked(t, x, y)
+    return TimeResponse(t, y, x, "step", system.inputs, system.outputs, system.dt)
 
 
 @checked
@@ -197,7 +219,7 @@ def impulse_response(sys: LinearSystem, t: np.ndarray | None = None) -> TimeResp
     ----------
     sys : control.StateSpace or tuple of arrays
     t : array (k,), optional
-        Rising, s; on sampling instants of a discrete system. Default: seven time constants.
+        Rising, s; on sampling instants of a discrete system. Default: `automatic_times`.
 
     Returns
     -------
@@ -219,16 +241,24 @@ def impulse_response(sys: LinearSystem, t: np.ndarray | None = None) -> TimeResp
     """
     system = realization(sys).dense()
     t = _times(system, t)
-    n, m = system.n_states, system.n_inputs
     grid, lead = _from_zero(t)
-    if system.is_discrete:
-        drive = np.zeros((round(grid[-1] / system.dt) + 1, m, m))
-        drive[0] = np.eye(m)
-        x = _finite(_steps(system, grid, np.zeros((n, m)), drive)[lead:], t)
-        y = system.C @ x + system.D @ drive[np.rint(t / system.dt).astype(int)]
-    else:
-        x = _finite(_march(system, grid, np.array(system.B), None, False)[lead:], t)
-        y = system.C @ x
+    with np.errstate(over="ignore", invalid="ignore"):
+        if system.is_discrete:
+            at = np.rint(t / system.dt).astype(int)
+            strides = np.diff(np.concatenate([[1], at[at > 0]])).astype(float)
+            x = np.zeros((len(at), *system.B.shape))
+            x[at > 0] = _free(
+                lambda k: np.linalg.matrix_power(system.A, int(k)), strides, np.array(system.B)
+            )[1:]
+            y = system.C @ x + np.where(at > 0, 0.0, 1.0)[:, None, None] * system.D
+        else:
+
+            def transition(h: float) -> np.ndarray:
+                return exponential(system.A, system.B[:, :0], h)
+
+            x = _free(transition, np.diff(grid), np.array(system.B))[lead:]
+            y = system.C @ x
+    _checked(t, x, y)
     return TimeResponse(t, y, x, "impulse", system.inputs, system.outputs, system.dt)
 
 
@@ -277,9 +307,9 @@ def forced_response(
     system = realization(sys).dense()
     t = _times(system, t)
     n, m = system.n_states, system.n_inputs
-    drive = np.zeros((len(t), m)) if u is None else np.asarray(u, dtype=float)
+    drive = np.zeros((len(t), m)) if u is None else real_array(u, "u")
     drive = drive[:, None] if drive.ndim == 1 and m == 1 else drive
-    x = np.zeros(n) if x0 is None else np.asarray(x0, dtype=float)
+    x = np.zeros(n) if x0 is None else real_array(x0, "x0")
     if drive.shape != (len(t), m):
         raise DimensionError(f"u must have shape ({len(t)}, {m}), got {drive.shape}")
     if x.shape != (n,):
@@ -287,14 +317,15 @@ def forced_response(
     for name, array in (("u", drive), ("x0", x)):
         if not np.all(np.isfinite(array)):
             raise DataError(f"{name} holds NaN or inf")
-    if system.is_discrete:
-        if len(t) > 1 and np.any(np.abs(np.diff(t) / system.dt - 1) > 1e-6):
-            raise ParameterError("a discrete forced response needs one sample per step")
-        states = _steps(system, t - t[0], x, drive)
-    else:
-        states = _march(system, t, x, drive if m else None, linear)
-    states = _finite(states, t)
-    y = states @ system.C.T + drive @ system.D.T
+    with np.errstate(over="ignore", invalid="ignore"):
+        if system.is_discrete:
+            if len(t) > 1 and np.any(np.abs(np.diff(t) / system.dt - 1) > 1e-6):
+                raise ParameterError("a discrete forced response needs one sample per step")
+            states = _steps(system, t - t[0], x, drive)
+        else:
+            states = _march(system, t, x, drive if m else None, linear)
+        y = states @ system.C.T + drive @ system.D.T
+    _checked(t, states, y)
     return TimeResponse(t, y, states, "forced", system.inputs, system.outputs, system.dt)
 
 

@@ -79,8 +79,8 @@ def test_discrete_responses() -> None:
 def test_default_times_and_shapes() -> None:
     system = gallery.random_stable(5, 2, 3, 0)
     found = step_response(system)
-    assert found.y.shape == (501, 3, 2)
-    assert found.x.shape == (501, 5, 2)
+    assert found.y.shape == (len(found.t), 3, 2)
+    assert found.x.shape == (len(found.t), 5, 2)
     A, B, C, _ = system
     np.testing.assert_allclose(found.y[-1], -C @ np.linalg.solve(A, B), atol=0.02)
     assert step_response(gallery.integrators(2)).t[-1] > 0
