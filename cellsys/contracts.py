@@ -6,7 +6,7 @@ function it is held by `cellsys.arguments`; `needs` holds it anywhere else.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -112,6 +112,7 @@ class SteppedField(MatrixField, Protocol):
         """What steps in a row keep for each other."""
 
 
+@runtime_checkable
 class StateSpaceLike(Protocol):
     """A linear system in state space, such as control.ss(A, B, C, D, 0)."""
 
@@ -122,6 +123,7 @@ class StateSpaceLike(Protocol):
     dt: float
 
 
+@runtime_checkable
 class TransferFunctionLike(Protocol):
     """A transfer function, such as control.tf(num, den, 0)."""
 
@@ -132,5 +134,6 @@ class TransferFunctionLike(Protocol):
 
 LinearSystem = Annotated[
     StateSpaceLike | TransferFunctionLike | tuple | Matrix,
-    "a linear system: a control.StateSpace, a TransferFunction, (A, B, C, D) or a matrix A",
+    "a linear system: a control.StateSpace or a TransferFunction (of scipy.signal too; other forms "
+    "of it by .to_ss()), (A, B, C, D), (A, B, C, D, dt) or a matrix A",
 ]

@@ -15,9 +15,10 @@ def find_roots(
     b: np.ndarray,
     fa: np.ndarray,
     fb: np.ndarray,
+    first: np.ndarray,
     rounds: int = 200,
 ) -> np.ndarray:
-    """Where functions change sign, to four ulp of the larger end.
+    """Where functions change sign, to four ulp of the larger end, or where they are one ulp of 1.
 
     Inverse quadratic interpolation where it is safe, else halving [Chandrupatla, Adv. Eng.
     Software 28 (1997) 145], all brackets side by side.
@@ -28,6 +29,8 @@ def find_roots(
         (x (k,), number of the bracket of each (k,)) -> values (k,).
     a, b, fa, fb : array (c,)
         Ends and the values there, of opposite sign.
+    first : array (c,)
+        First points tried; the middle where they are not inside.
     rounds : int
         Most calls of f; halving alone needs no more than 64 for ends of one size.
 
@@ -36,7 +39,8 @@ def find_roots(
     array (c,)
     """
     a, b, fa, fb = (np.array(v, dtype=float) for v in (a, b, fa, fb))
-    c, fc, t = a.copy(), fa.copy(), np.full(len(a), 0.5)
+    c, fc, t = a.copy(), fa.copy(), (first - a) / (b - a)
+    t = np.where((t > 0) & (t < 1), t, 0.5)
     best = np.where(np.abs(fa) < np.abs(fb), a, b)
     active = np.arange(len(a))
     for _ in range(rounds):
@@ -59,7 +63,7 @@ def find_roots(
                 b[i] - a[i]
             ) * fa[i] / (fc[i] - fa[i]) * fb[i] / (fc[i] - fb[i])
             safe = (phi**2 < xi) & ((1 - phi) ** 2 < 1 - xi) & np.isfinite(step)
-        done = (fx == 0) | ~(limit < 0.5)
+        done = (np.abs(fx) <= EPS) | ~(limit < 0.5)
         t[i] = np.clip(np.where(safe, step, 0.5), np.minimum(limit, 0.5), 1 - np.minimum(limit, 0.5))
         active = i[~done]
     return best

@@ -10,6 +10,13 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.response.realization import EPS
 
+MARGINAL = "marginal: stable apart from its integrators"
+
+
+def counted(number: int) -> str:
+    """``"1 integrator"``, ``"2 integrators"``."""
+    return f"{number} integrator" + ("" if number == 1 else "s")
+
 
 @checked
 @dataclass(frozen=True, eq=False)
@@ -81,3 +88,18 @@ def set_apart(
     states = tuple(names[i] for i in np.flatnonzero(share > 0.1 * share.max(initial=0.0)))
     rest = Vt[: n - count].T if count else np.eye(n)
     return Integrators(count, states if count else (), basis, limit), rest
+
+
+def longest_chain(A: np.ndarray, tol: float | None, *, discrete: bool) -> int:
+    """Number of integrators in the longest series: the size of the largest Jordan block at 0 (1).
+
+    Null directions are taken away again and again; each round shortens every chain by one.
+    """
+    length = 0
+    while len(A):
+        apart, rest = set_apart(A, np.ones(len(A)), ("",) * len(A), tol, discrete=discrete)
+        if not apart.count:
+            break
+        A = rest.T @ A @ rest
+        length += 1
+    return length

@@ -97,8 +97,7 @@ class Loci:
         if omega is None:
             start = self._extended(grid.automatic(system))
             self.omega, _ = grid.refine(
-                self._eigenvalues if q == 1 else self._sizeable, start,
-                match=track if q > 1 else None, about=(0.0, -1.0),
+                self._sizeable, start, match=track if q > 1 else None, about=(0.0, -1.0)
             )
             self._complete()
         else:
@@ -133,15 +132,21 @@ class Loci:
         order = np.where(np.isfinite(power), np.round(power), 0.0)
         return anchored(np.unwrap(np.angle(self.values), axis=-1), order)
 
-    def _eigenvalues(self, omega: np.ndarray) -> np.ndarray:
+    def _eigenvalues(self, omega: np.ndarray, floor: float = 0.0) -> np.ndarray:
+        """Eigenvalues (q, k); 0 where they are below `floor` |L|."""
         L = self.evaluate(s_plane(omega, self.system.dt))
         L = np.where(np.isfinite(L), L, 1e300)
-        return L[0] if L.shape[0] == 1 else np.linalg.eigvals(np.moveaxis(L, -1, 0)).T
+        if L.shape[0] == 1:
+            return L[0]
+        values = np.linalg.eigvals(np.moveaxis(L, -1, 0)).T
+        if floor == 0:
+            return values
+        size = np.abs(L).max(axis=(0, 1))
+        return np.where(np.abs(values) > floor * size, values, 0.0)
 
     def _sizeable(self, omega: np.ndarray) -> np.ndarray:
-        """The same with 0 for what is only rounding of the others (L of a lower rank)."""
-        values = self._eigenvalues(omega)
-        return np.where(np.abs(values) > 1e-14 * np.abs(values).max(axis=0), values, 0.0)
+        """What the refinement looks at: no rounding of a matrix L of a lower rank."""
+        return self._eigenvalues(omega, floor=1e-10)
 
     def _at_the_ends(self) -> Points:
         """0 and pi/dt, where L is real, or 0 and infinity, where it is D."""
@@ -226,7 +231,7 @@ class Loci:
         kinds = (log_size, sine) if self.complete else (log_size, sine, left_sine)
         parts = [self._brackets(kind) for kind in kinds]
         which = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])
-        a, b, fa, fb, row, floor = (np.concatenate(part) for part in zip(*parts, strict=True))
+        a, b, fa, fb, near, row, floor = (np.concatenate(p) for p in zip(*parts, strict=True))
         if not len(a):
             return none, none
 
@@ -238,7 +243,7 @@ class Loci:
             at = np.argsort(g, axis=0)[row[i], np.arange(len(i))]
             return g[at, np.arange(len(i))], at
 
-        omega = find_roots(lambda w, i: picked(self._eigenvalues(w), i)[0], a, b, fa, fb)
+        omega = find_roots(lambda w, i: picked(self._eigenvalues(w), i)[0], a, b, fa, fb, near)
         L, bound = self.evaluate.with_accuracy(s_plane(omega, self.system.dt))
         L = np.where(np.isfinite(L), L, 1e300)
         values, noise = _with_noise(L, np.where(np.isfinite(bound), bound, np.inf))
@@ -256,7 +261,9 @@ class Loci:
         return tuple(Points(omega[s], values[s], noise[s]) for s in sides)
 
     def _brackets(self, kind: Callable) -> tuple[np.ndarray, ...]:
-        """Ends, values there, row and size of "zero" of each change of sign of a sorted value."""
+        """Of each change of sign of a sorted value: its ends, the values there, a point between
+        that is nearest to zero, the row, and the size that counts as zero.
+        """
         omega = self.omega
         f, clear = self._signs(kind, self.raw, self.noise)
         if not self.complete:
@@ -274,7 +281,10 @@ class Loci:
         near = np.clip(np.searchsorted(self.omega, omega[i]), 0, len(self.omega) - 1)
         floor = 2 * self.noise[:, near].max(axis=0) if len(i) else np.zeros(0)
         m = np.concatenate(rows)
-        return omega[i], omega[j], f[m, i], f[m, j], m, floor
+        # A candidate of a pencil, as a rule: |f| there is rounding, and has no sign.
+        best = [a + int(np.argmin(np.abs(f[r, a : b + 1]))) for r, a, b in zip(m, i, j, strict=True)]
+        between = omega[np.array(best, dtype=int)]
+        return omega[i], omega[j], f[m, i], f[m, j], between, m, floor
 
     def _signs(
         self, kind: Callable, values: np.ndarray, noise: np.ndarray

@@ -14,6 +14,7 @@ from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError
 from cellsys.response.frequency import check_omega
 from cellsys.response.disk import disk_margin
+from cellsys.response.integrators import MARGINAL, counted
 from cellsys.response.loci import Loci
 from cellsys.response.realization import EPS, Realization, balance, balancing, realization
 
@@ -87,6 +88,8 @@ class Margins(Drawable):
 
     def __str__(self) -> str:
         loop = "stable" if self.closed_loop_stable else "NOT stable: read these as distances"
+        if self.closed_loop_stable and self.integrators:
+            loop = MARGINAL
         return (
             f"gain margin  {self.gain_margin:.6g} at {self.gain_margin_frequency:.4g} rad/s\n"
             f"phase margin {self.phase_margin:.6g} deg at "
@@ -95,7 +98,8 @@ class Margins(Drawable):
             f"disk margin  {self.disk_margin:.4g} at {self.disk_margin_frequency:.4g} rad/s\n"
             f"closed loop {loop} (P = {self.open_loop_unstable}, N = {self.encirclements}, "
             f"Z = {self.closed_loop_unstable}"
-            + (f", {self.integrators} integrators set apart)" if self.integrators else ")")
+            + (f", {counted(self.integrators)} set apart)" if self.integrators else ")")
+            + ("" if self.loci.complete else "\ncrossings sought on the refined grid alone")
         )
 
 

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import lapack
 
 from cellsys.arguments import checked
-from cellsys.contracts import LinearSystem
+from cellsys.contracts import LinearSystem, StateSpaceLike, TransferFunctionLike
 from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
 from cellsys.kinds import Takes
 from cellsys.store.memory import size_text
@@ -120,7 +120,8 @@ class Realization:
         p = D.shape[0] if self.C is None and D is not None else 0
         B = np.zeros((n, m)) if self.B is None else self._edge(self.B, "B", 0, n, D)
         C = np.zeros((p, n)) if self.C is None else self._edge(self.C, "C", 1, n, D)
-        D = np.zeros((C.shape[0], B.shape[1])) if D is None or D.size == 0 else D
+        if D is None or D.size == 0 or (D.size == 1 and D.item() == 0):  # 0 stands for none
+            D = np.zeros((C.shape[0], B.shape[1]))
         if D.shape != (C.shape[0], B.shape[1]):
             raise DimensionError(
                 f"D has shape {D.shape}, but C has {C.shape[0]} rows and B {B.shape[1]} columns"
@@ -210,6 +211,16 @@ class Realization:
         )
 
 
+@runtime_checkable
+class _Channels(Protocol):
+    """What python-control's transfer functions know of their channels."""
+
+    ninputs: int
+    noutputs: int
+    input_labels: list[str]
+    output_labels: list[str]
+
+
 def _sampling(dt: Any) -> float:
     if dt is None:
         return 0.0  # control's "unspecified"; continuous is its own default
@@ -222,9 +233,9 @@ def realization(sys: LinearSystem) -> Realization:
 
     Parameters
     ----------
-    sys : control.StateSpace, control.TransferFunction (SISO), Realization, tuple or array
-        A tuple is (A, B, C, D) or (A, B, C, D, dt); a square array is A alone. ``dt=None`` of
-        python-control counts as continuous, ``dt=True`` as a sampling time of 1 s.
+    sys : StateSpace or SISO TransferFunction (control or scipy.signal), Realization, tuple, array
+        A tuple is (A, B, C, D) or (A, B, C, D, dt), where D = 0 stands for none; a square array is
+        A alone. ``dt=None`` counts as continuous, ``dt=True`` as a sampling time of 1 s.
 
     Returns
     -------
@@ -245,39 +256,44 @@ def realization(sys: LinearSystem) -> Realization:
         return Realization(*sys[:4], dt=_sampling(sys[4]) if len(sys) == 5 else 0.0)
     if isinstance(sys, (np.ndarray, list)) or sp.issparse(sys):
         return Realization(sys)
-    if all(hasattr(sys, name) for name in ("A", "B", "C", "D", "dt")):
+    if isinstance(sys, StateSpaceLike):
         labels = [getattr(sys, f"{kind}_labels", None) for kind in ("state", "input", "output")]
         return Realization(sys.A, sys.B, sys.C, sys.D, _sampling(sys.dt), *labels)
-    if hasattr(sys, "num") and hasattr(sys, "den"):
-        return _from_transfer_function(sys)
-    raise ParameterError(
-        f"expected a control.StateSpace, a SISO TransferFunction, (A, B, C, D[, dt]) or a matrix, "
-        f"got {type(sys).__name__}"
-    )
+    return _from_transfer_function(sys)
 
 
-def _from_transfer_function(sys: LinearSystem) -> Realization:
+def _from_transfer_function(sys: TransferFunctionLike) -> Realization:
     """Controller canonical form of one channel; balanced later, like every other system."""
-    if (sys.ninputs, sys.noutputs) != (1, 1):
+    if isinstance(sys, _Channels):
+        channels = sys.noutputs * sys.ninputs
+        over, under = (sys.num[0][0], sys.den[0][0]) if channels == 1 else (0.0, 1.0)
+        names = (sys.input_labels, sys.output_labels)
+    else:  # scipy.signal: one row of coefficients per output
+        rows = np.atleast_2d(real_array(sys.num, "num"))
+        channels, over, under, names = len(rows), rows[0], sys.den, (None, None)
+    if channels != 1:
         raise ParameterError(
             "a transfer function with several channels has no unique state space: realise it "
             "with control.ss first"
         )
-    den = np.trim_zeros(np.atleast_1d(sys.den[0][0]).astype(float), "f")
-    num = np.trim_zeros(np.atleast_1d(sys.num[0][0]).astype(float), "f")
+    den = np.trim_zeros(np.atleast_1d(real_array(under, "den")), "f")
+    num = np.trim_zeros(np.atleast_1d(real_array(over, "num")), "f")
     _finite(den, "den")
     _finite(num, "num")
     n = len(den) - 1
+    if n < 0:
+        raise ParameterError("the denominator of the transfer function is zero")
     if len(num) > n + 1:
-        raise ParameterError(f"improper transfer function: {len(num) - 1} zeros, {n} poles")
+        raise ParameterError(
+            f"improper transfer function: {len(num) - 1} zeros, {n} poles; no state space has it"
+        )
     num = np.concatenate([np.zeros(n + 1 - len(num)), num]) / den[0]
     den = den / den[0]
     A = np.eye(n, k=-1)
     A[:1] = -den[1:]
     B = np.eye(n, 1)
     C = (num[1:] - num[0] * den[1:])[None, :]
-    return Realization(A, B, C, [[num[0]]], _sampling(sys.dt), None, sys.input_labels,
-                       sys.output_labels)
+    return Realization(A, B, C, [[num[0]]], _sampling(sys.dt), None, *names)
 
 
 def same_time(first: Realization, second: Realization) -> float:

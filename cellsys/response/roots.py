@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,7 +17,7 @@ from cellsys.response.spectrum import Spectrum
 class RootSet(Drawable, np.ndarray):
     """Poles or zeros: a read-only complex array (k,), sorted by falling real part.
 
-    Arithmetic, slices and reductions give plain arrays. What is known about the errors is worked
+    Arithmetic, slices, methods and numpy's functions give plain arrays. What is known about the errors is worked
     out on first use (it needs eigenvectors).
 
     Attributes
@@ -54,14 +55,22 @@ class RootSet(Drawable, np.ndarray):
         """Views carry no details: they may hold other entries."""
         self._detail, self.kind, self.dt, self.note = None, "root", 0.0, ""
 
-    def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
-        """Results of arithmetic are plain arrays."""
-        array = np.asarray(array)
-        return array[()] if return_scalar else array
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        """Arithmetic is that of plain arrays, and gives plain arrays."""
+        return getattr(ufunc, method)(*_plain(inputs), **_plain(options))
+
+    def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        """Functions of numpy take and give plain arrays."""
+        return func(*_plain(args), **_plain(kwargs))
 
     def __getitem__(self, key: Any) -> Any:
         """Plain array or scalar."""
         return np.asarray(self)[key]
+
+    @property
+    def T(self) -> np.ndarray:
+        """Plain array, as it is."""
+        return np.asarray(self)
 
     @property
     def real(self) -> np.ndarray:
@@ -123,6 +132,40 @@ class RootSet(Drawable, np.ndarray):
 
     def __repr__(self) -> str:
         return repr(np.asarray(self))
+
+
+def _plain(value: Any) -> Any:
+    """The same with every `RootSet` in it as a plain, read-only array."""
+    if isinstance(value, RootSet):
+        return value.view(np.ndarray)
+    if isinstance(value, (tuple, list)) and any(_holds(part) for part in value):
+        return type(value)(_plain(part) for part in value)
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
+    return value
+
+
+def _holds(value: Any) -> bool:
+    return isinstance(value, (RootSet, tuple, list, dict))
+
+
+def _of_plain_arrays(name: str) -> Callable[..., Any]:
+    plain = getattr(np.ndarray, name)
+
+    @wraps(plain)
+    def method(self: RootSet, *args: Any, **options: Any) -> Any:
+        return plain(np.asarray(self), *_plain(args), **_plain(options))
+
+    return method
+
+
+# p.round(3), p.copy(), p.reshape(...): what plain arrays give.
+for _name in (
+    "argpartition argsort astype byteswap choose clip compress conj conjugate copy cumprod cumsum diagonal "
+    "dot flatten getfield mean prod ravel repeat reshape round searchsorted squeeze std sum swapaxes take "
+    "trace transpose var"
+).split():
+    setattr(RootSet, _name, _of_plain_arrays(_name))
 
 
 def _rebuild(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy.linalg as sla
@@ -12,6 +12,7 @@ from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem
 from cellsys.errors import ParameterError
 from cellsys.response.realization import EPS, Realization, balancing, realization
+from cellsys.units import real_number
 
 
 @checked
@@ -29,13 +30,7 @@ class ZeroOrderHold:
         """The continuous system with these samples; ParameterError where there is none."""
         n, m = system.n_states, system.n_inputs
         values = sla.eigvals(balancing(system.A)[0]) if n else np.zeros(0)
-        real = (values.real <= n * EPS) & (np.abs(values.imag) <= 1e-12 * np.abs(values))
-        if np.any(real):
-            bad = complex(values[np.argmax(real)])
-            raise ParameterError(
-                f"no real logarithm: {bad:.6g} is a pole on the closed negative real axis of the "
-                "z plane; no continuous system sampled with a zero-order hold gives it"
-            )
+        _refuse_negative(values, 10 * n * EPS * float(sla.norm(balancing(system.A)[0])))
         A, scale = balancing(system.A)
         M = np.block([[A, system.B / scale[:, None]], [np.zeros((m, n)), np.eye(m)]])
         L = np.real(sla.logm(M)) / system.dt if n else np.zeros((m, m))
@@ -61,6 +56,9 @@ class Tustin:
 
     match: float = 0.0
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "match", real_number(self.match, "Tustin.match"))
+
     def _rate(self, dt: float) -> float:
         if not 0 <= self.match < np.pi / dt:
             raise ParameterError(
@@ -80,6 +78,25 @@ class Tustin:
         a, n = self._rate(system.dt), system.n_states
         return _moebius(system, np.eye(n) + system.A, a * (system.A - np.eye(n)),
                         np.sqrt(2 * a), -1.0, 0.0)
+
+
+def _refuse_negative(values: np.ndarray, size: float) -> None:
+    """ParameterError for poles at 0 or on the negative real axis of the z plane."""
+    cure = "; keep the discrete system, sample faster, or undo the bilinear rule: Tustin()"
+    if np.any(np.abs(values) <= size):
+        raise ParameterError(
+            "a pole at z = 0 is a pure delay of one sample: no continuous system of finite order "
+            f"sampled with a zero-order hold gives it{cure}"
+        )
+    real = (values.real < 0) & (np.abs(values.imag) <= 1e-12 * np.abs(values))
+    if np.any(real):
+        bad = float(values.real[np.argmax(real)])
+        raise ParameterError(
+            f"z = {bad:.6g} is a pole on the negative real axis: it has no real principal "
+            "logarithm, so that no continuous system of the same order with all modes below the "
+            "Nyquist frequency gives it under a zero-order hold (one of higher order does, in "
+            f"which it is an oscillation at the Nyquist frequency){cure}"
+        )
 
 
 def _moebius(
@@ -119,8 +136,13 @@ def exponential(A: np.ndarray, B: np.ndarray, h: float) -> np.ndarray:
     return F * scale[:, None]
 
 
+Sampling = Annotated[
+    ZeroOrderHold | Tustin, "cellsys.ZeroOrderHold() or cellsys.Tustin(match=...)"
+]
+
+
 @checked
-def c2d(sys: LinearSystem, dt: float, method: ZeroOrderHold | Tustin = ZeroOrderHold()) -> Any:
+def c2d(sys: LinearSystem, dt: float, method: Sampling = ZeroOrderHold()) -> Any:
     """Sample a continuous system; state, input and output names stay.
 
     Parameters
@@ -137,7 +159,8 @@ def c2d(sys: LinearSystem, dt: float, method: ZeroOrderHold | Tustin = ZeroOrder
     Raises
     ------
     ParameterError
-        The system is discrete already, dt is not > 0, or the rule meets a pole.
+        The system is discrete already, dt is not > 0, the rule meets a pole, or `method` is none
+        of the two.
     DataError, DimensionError, BudgetError
         As for `poles`.
 
@@ -148,13 +171,14 @@ def c2d(sys: LinearSystem, dt: float, method: ZeroOrderHold | Tustin = ZeroOrder
     system = realization(sys).dense()
     if system.is_discrete:
         raise ParameterError(f"the system is discrete already (dt = {system.dt:g} s)")
-    if not (np.isfinite(dt) and dt > 0):
-        raise ParameterError(f"dt must be > 0 s and finite, got {dt!r}")
-    return method.discrete(system, float(dt)).state_space()
+    dt = real_number(dt, "dt")
+    if dt <= 0:
+        raise ParameterError(f"dt must be > 0 s, got {dt!r}")
+    return method.discrete(system, dt).state_space()
 
 
 @checked
-def d2c(sys: LinearSystem, method: ZeroOrderHold | Tustin = ZeroOrderHold()) -> Any:
+def d2c(sys: LinearSystem, method: Sampling = ZeroOrderHold()) -> Any:
     """The continuous system behind a sampled one; names stay.
 
     Parameters
@@ -170,8 +194,9 @@ def d2c(sys: LinearSystem, method: ZeroOrderHold | Tustin = ZeroOrderHold()) -> 
     Raises
     ------
     ParameterError
-        The system is continuous already; a pole on the closed negative real axis (zero-order
-        hold) or at -1 (Tustin): there is no such continuous system.
+        The system is continuous already; `method` is none of the two; a pole at 0 (none of
+        finite order gives it) or on the negative real axis (none of the same order below the
+        Nyquist frequency does) under a zero-order hold, or at -1 (Tustin).
     DataError, DimensionError, BudgetError
         As for `poles`.
 

@@ -15,7 +15,13 @@ from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError
 from cellsys.response.certainty import PoleCertainty, data_note, side, widened
 from cellsys.response.growth import kreiss_lower, sampled_growth
-from cellsys.response.integrators import Integrators, set_apart
+from cellsys.response.integrators import (
+    MARGINAL,
+    Integrators,
+    counted,
+    longest_chain,
+    set_apart,
+)
 from cellsys.response.lyapunov import LyapunovCertificate, certificate
 from cellsys.response.poles import poles
 from cellsys.response.pseudospectra import Pseudospectra, abscissa, pseudospectra
@@ -35,7 +41,8 @@ class StabilityReport(Drawable):
     Attributes
     ----------
     verdict : str
-        ``"stable"``, ``"unstable"`` or ``"not decided"``.
+        ``"stable"``, ``"marginal: stable apart from its integrators"``, ``"unstable"`` or
+        ``"not decided"``.
     reason : str
         Why, in words.
     spectral_abscissa : float
@@ -130,11 +137,12 @@ def _verdict(
 ) -> tuple[str, str]:
     """Verdict and reason from the poles with bounds and the distance in balanced coordinates.
 
-    `found` has the bounds of rounding alone, `known` the larger ones of rounding and data.
+    `found` has the bounds of rounding alone, `known` the larger ones of rounding and data;
+    `chain` is the length of the longest series of integrators.
     """
     n = len(found.values)
     if n == 0:
-        return "stable", "no poles besides integrators"
+        return "stable", "no poles besides integrators" if chain else "no poles"
     excess = _excess(found, discrete=discrete)
     i = int(np.argmax(excess))
     axis = "the unit circle" if discrete else "the imaginary axis"
@@ -146,9 +154,12 @@ def _verdict(
             f"{int(np.count_nonzero(bad))} poles beyond {axis} by more than their error bound, "
             f"the worst {complex(known.values[j]):.6g} +- {known.bound[j]:.1e}"
         )
-    if chain > 0:
+    if chain > 1:
+        at, growth = (1, "k") if discrete else (0, "t")
+        power = growth if chain == 2 else f"{growth}^{chain - 1}"
         return "unstable", (
-            f"{chain} integrators in series (a defective pole on {axis}): grows without bound"
+            f"a chain of {chain} integrators in series (a defective pole at {at}): grows like "
+            f"{power}, without bound"
         )
     if np.all(where < 0):
         return "stable", f"every pole lies inside {axis} by more than its error bound"
@@ -182,7 +193,8 @@ def stability(
         stable: every pole of every A + E, |E| <= delta, lies inside the boundary,
         delta = (10 + sqrt n) eps |A|_F in balanced coordinates
 
-    shown by the error bounds of the poles or by the distance to instability. *Unstable*: a pole
+    shown by the error bounds of the poles or by the distance to instability; *marginal: stable
+    apart from its integrators* where that holds for what is left of the state. *Unstable*: a pole
     lies outside by more than its error bound, or integrators stand in series. Otherwise *not
     decided*: the matrix is not known well enough in double precision.
 
@@ -221,10 +233,8 @@ def stability(
     balanced, scale = balancing(system.A)
     apart, rest = set_apart(balanced, scale, system.states, integrator_tol, discrete=discrete)
     B = rest.T @ balanced @ rest
-    chain = 0
-    if apart.count:  # what is left may hold an integrator of the integrators
-        blank = ("",) * len(B)
-        chain = set_apart(B, np.ones(len(B)), blank, integrator_tol, discrete=discrete)[0].count
+    # What is left may hold integrators of the integrators.
+    chain = 1 + longest_chain(B, integrator_tol, discrete=discrete) if apart.count else 0
     alone = spectrum(B)
     found = widened(alone, certainty, system.dt)
     delta = backward_error(len(balanced), float(sla.norm(balanced)) if len(balanced) else 0.0)
@@ -232,7 +242,8 @@ def stability(
     low, high, point = distance_to_boundary(B, found.values, discrete=discrete, T=T)
     verdict, reason = _verdict(alone, found, low, delta, discrete=discrete, chain=chain)
     if apart.count:
-        reason += f"; set apart: {apart.count} integrators"
+        verdict = MARGINAL if verdict == "stable" else verdict
+        reason += f"; set apart: {counted(apart.count)}" if chain == 1 else ""
     excess = _excess(found, discrete=discrete)
     i = int(np.argmax(excess + found.bound)) if len(excess) else -1
     top = float(excess.max(initial=-np.inf))

@@ -39,7 +39,7 @@ class Plant:
         if self.modal:
             gains = 1.0 / (s[:, None] - self.poles)
             return np.einsum("im,km,mj->kij", self.CV, gains, self.VB) + self.D
-        M = s[:, None, None] * np.eye(self.n) - self.A
+        M = s[:, None, None] * np.eye(self.n) * (1 + 1e-15) - self.A
         return self.C @ np.linalg.solve(M, np.broadcast_to(self.B, (len(s), *self.B.shape))) + self.D
 
     def loci(self, omega):
@@ -61,11 +61,15 @@ class Plant:
 
     def sweep(self):
         """Dense frequencies: 40 per decade, and close to every pole next to the boundary."""
-        s = np.log(self.poles[np.abs(self.poles) > 1e-3]) / self.dt if self.dt else self.poles
-        size = np.abs(s)[np.abs(s) > 1e-12 * self.size]
+        z = self.poles[np.abs(self.poles) > 1e-3].astype(complex)
+        s = np.log(z) / self.dt if self.dt else self.poles
+        # A double pole at 0 is found 1e-8 away from it; below, L is not known.
+        size = np.abs(s)[np.abs(s) > 1e-7 * self.size]
         lo, hi = (size.min(), size.max()) if size.size else (1.0, 1.0)
         top = np.pi / self.dt if self.dt else 1e4 * hi
         lo = 1e-6 * min(lo, top)
+        if not self.modal and self.base is None and not self.dt:
+            lo = max(lo, 1e-5 * self.size)  # double poles at 0: |L| beyond 1e10 is not known here
         near = np.unique(np.abs(s.imag[np.abs(s.real) < 0.3 * np.abs(s)]))
         off = np.concatenate([-np.geomspace(0.3, 1e-8, 40), np.geomspace(1e-8, 0.3, 40)])
         w = np.concatenate(
@@ -75,7 +79,7 @@ class Plant:
                 np.linspace(0.0, top, 20 * (self.n + 2))[1:-1] if self.dt else near[:0],
             ]
         )
-        return np.unique(w[(w > 0) & (w < top)])
+        return np.unique(w[(w >= lo) & (w < top)])
 
 
 def section(sign, a, b, rounds=8):
@@ -156,6 +160,8 @@ def compare(plant, found):
     * Each crossing that was found solves det(I + exp(-j phi) L) = 0, or det(I + k L) = 0, to 1e-6.
     * Each gain at which the number of unstable closed-loop poles changes is among the factors, to
       1e-6, or by as much as moves that pole by 1e-8 |A|.
+    * The closed loop is called stable where all its poles lie 1e-8 |A| inside, not where one lies
+      so far outside.
     * Gain, phase and delay margin are the best of these; no point of the sweep has a smaller disk
       margin than 1 - 1e-6 times the one said, and the one said is reached where it says.
     """
@@ -175,7 +181,7 @@ def compare(plant, found):
     )
     for w in places:
         near = at[np.argmin(np.abs(at - w))]
-        flat = np.abs(np.log(np.abs(plant.loci(np.array([near]))))).min() < SIGN / 10
+        flat = np.abs(np.log(np.maximum(np.abs(plant.loci(np.array([near]))), 1e-300))).min() < SIGN / 10
         assert abs(near - w) <= PLACE * w + 1e-14 * plant.size or flat, (w, at)
     for w, turn in gain:
         assert singular(plant, w, np.exp(-1j * np.deg2rad(turn))) < VALUE, (w, turn)
@@ -191,6 +197,11 @@ def compare(plant, found):
             depth = plant.closed(factors[inside]) if inside.any() else np.array([[np.inf]])
             depth = np.abs(depth) - 1 if plant.dt else depth.real
             assert np.all(np.abs(depth).min(axis=1) < SIGN * plant.size), (k, factors)
+    if np.linalg.svd(np.eye(plant.q) + plant.D, compute_uv=False)[-1] > 1e-6:
+        depth = plant.closed(np.ones(1))[0]
+        depth = np.abs(depth) - 1 if plant.dt else depth.real
+        if np.all(np.abs(depth) > SIGN * np.maximum(plant.size, 1.0)):
+            assert found.closed_loop_stable == np.all(depth < 0), depth
     best = np.min(np.abs(np.log(factors)), initial=np.inf)
     assert np.isclose(np.abs(np.log(found.gain_margin)), best, rtol=1e-12) or best == np.inf
     assert (found.gain_margin == np.inf) == (len(factors) == 0)
@@ -200,6 +211,8 @@ def compare(plant, found):
         assert found.phase_margin == np.inf
     lag = np.deg2rad(gain[gain[:, 0] > 0, 1] % 360)
     delay = np.min(lag / gain[gain[:, 0] > 0, 0], initial=np.inf)
+    if np.any(gain[gain[:, 0] == 0, 1] == 0):
+        delay = 0.0  # a pole at 0 already, which no delay moves
     if not plant.dt and np.abs(np.linalg.eigvals(plant.D)).max() >= 1 - 1e-14:
         delay = 0.0
     assert np.isclose(found.delay_margin, delay, rtol=1e-9), (found.delay_margin, delay)

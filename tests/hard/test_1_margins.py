@@ -57,25 +57,47 @@ def dc_gain_near_one(rng):
         dt = 0.0
     low = np.abs(np.linalg.eigvals(C @ np.linalg.solve((1.0 if dt else 0.0) * np.eye(n) - A, B)))
     low = low[low > 1e-6 * low.max()]
-    one = 1 + rng.choice([-1, 1]) * 10.0 ** rng.uniform(-9, -3)
+    one = 1 + rng.choice([-1, 1]) * 10.0 ** rng.uniform(-9, -3) * (rng.random() < 0.95)
     return A, B, C * one / rng.choice(low) * rng.choice([-1, 1]), D, dt
 
 
+def on_the_circle(rng):
+    """The same in discrete time: poles or zeros at exp(+-j theta), at 1 and at -1."""
+    a, b = rng.uniform(0.1, 3.0, 2)
+    inside = rng.uniform(0.3, 0.99)
+    kind = rng.integers(3)
+    pole, zero = [(1.0, a), (inside, b)][:: 1 if kind else -1]
+    (r, p), (s, z) = pole, zero  # z^2 - 2 s cos(z) z + s^2 over the same of r, p
+    if kind == 2:
+        p, z = 0.0 if rng.random() < 0.5 else np.pi, b
+    A = np.array([[0.0, 1.0], [-r * r, 2 * r * np.cos(p)]])
+    C = np.array([[s * s - r * r, 2 * (r * np.cos(p) - s * np.cos(z))]])
+    lag = (np.array([[rng.uniform(-0.9, 0.9)]]), np.eye(1), np.eye(1) * rng.normal(0, 1), 0)
+    lag = (*lag[:3], np.array([[rng.choice([0.0, rng.normal()])]]))
+    return *turned(rng, *series((A, np.array([[0.0], [1.0]]), C, np.eye(1)), lag)), 0.1
+
+
 def on_the_boundary(rng):
-    """Undamped poles and zeros, integrators, a zero at 0."""
+    """Undamped poles and zeros, integrators and chains of two, a zero at 0; in discrete time too."""
     w, z = 10.0 ** rng.uniform(-1, 1, 2)
-    kind = rng.integers(5)
+    kind = rng.integers(7)
     if kind == 0:  # undamped poles, rotating 2 x 2
         J = np.array([[0.0, 1.0], [-1.0, 0.0]])
         C = rng.standard_normal() * np.eye(2) + 10.0 ** rng.uniform(-1, 1) * J
         return w * J, np.eye(2), C, np.zeros((2, 2)), 0.0
+    if kind == 1:
+        return on_the_circle(rng)
+    if kind == 2:  # two integrators in each of two channels, damped by their rates
+        A = np.kron(np.eye(2), np.array([[0.0, 1.0], [0.0, 0.0]]))
+        C = np.kron(rng.standard_normal((2, 2)), [[1.0, w]])
+        return *turned(rng, A, np.kron(np.eye(2), [[0.0], [1.0]]), C, np.zeros((2, 2))), 0.0
     lag = (-np.eye(1) * 10.0 ** rng.uniform(-1, 1), np.eye(1), np.eye(1) * rng.normal(0, 3), 0)
     lag = (*lag[:3], np.array([[rng.choice([0.0, 1.0])]]))
-    if kind == 1:
+    if kind == 3:
         middle = second_order((0.0, w), (10.0 ** rng.uniform(-2, 0), z))
-    elif kind == 2:
+    elif kind == 4:
         middle = second_order((10.0 ** rng.uniform(-2, 0), w), (0.0, z))
-    elif kind == 3:
+    elif kind == 5:
         middle = (np.zeros((1, 1)), np.eye(1), np.eye(1), np.zeros((1, 1)))
         lag = series(lag, (-np.eye(1), np.eye(1), np.eye(1) * w, np.eye(1)))
     else:  # s/(s + w)
@@ -109,7 +131,7 @@ def near_cancellations(rng):
 def close_loci(rng):
     """Two loci that differ by 1e-1 to 1e-8, in coordinates up to 1e3 from orthogonal."""
     n, gap = int(rng.integers(1, 4)), 10.0 ** rng.uniform(-8, -1)
-    A, B, C, D = random_system(rng, n, 1)
+    A, B, C, _ = random_system(rng, n, 1)
     d = float(rng.choice([0.0, 0.0, rng.normal()]))
     T = np.linalg.qr(rng.standard_normal((2, 2)))[0] @ np.diag([1.0, 10.0 ** rng.uniform(0, 3)])
     if rng.random() < 0.5:  # a + j b, a - j b with a small b
@@ -123,6 +145,7 @@ def close_loci(rng):
 def anything(rng):
     """Random loops of one to three channels, with and without D, rates up to 1e6 apart."""
     n, q = int(rng.integers(1, 6)), int(rng.choice([1, 1, 1, 2, 3]))
+    n = int(rng.integers(6, 25)) if rng.random() < 0.03 else n
     A, B, C, D = random_system(rng, n, q, spread=10.0 ** rng.choice([0, 0, 3, 6]))
     if rng.random() < 0.3:
         D = rng.normal(0, 1, (q, q))
