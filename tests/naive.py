@@ -69,6 +69,42 @@ def polynomial_margins(A, B, C, D) -> tuple[float, float]:
     return gain, float(phases.min()) if phases.size else np.inf
 
 
+def grid_margins(A, B, C, D, dt=0.0) -> tuple[float, float, float]:
+    """Gain, phase and delay margin from changes of sign between neighbours of a grid that ends a
+    decade beyond the poles: nothing below it, nothing above it, and a pole is a crossing."""
+    A, B, C = (np.atleast_2d(np.asarray(M, float)) for M in (A, B, C))
+    poles = np.linalg.eigvals(A).astype(complex)
+    size = np.abs(np.log(poles[np.abs(poles) > 1e-6]) / dt if dt else poles)
+    hi = min(10 ** np.ceil(np.log10(size.max())), np.pi / dt if dt else np.inf)
+    w = np.geomspace(10 ** np.floor(np.log10(size.min()) - 1), 1.01 * hi, 400)
+
+    def loci(omega):
+        s = np.exp(1j * omega * dt) if dt else 1j * omega + 1e-14
+        return np.linalg.eigvals(C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D)
+
+    def factor(a, b):  # halving the interval in which an imaginary part changes its sign
+        up = np.sort(loci(a).imag) > 0
+        for _ in range(45):
+            middle = 0.5 * (a + b)
+            same = np.array_equal(np.sort(loci(middle).imag) > 0, up)
+            a, b = (middle, b) if same else (a, middle)
+        return 1 / np.abs(loci(b)).max()
+
+    path = np.array([loci(x) for x in w])
+    signs = np.sort(path.imag, axis=1) > 0
+    turns = [k for k in range(len(w) - 1) if not np.array_equal(signs[k], signs[k + 1])
+             and path[k + 1].real.min() < 0]  # fmt: skip
+    factors = np.array([factor(w[k], w[k + 1]) for k in turns])
+    outside = np.sort(np.abs(path), axis=1) > 1
+    k, i = np.nonzero(np.diff(outside, axis=0))
+    order = np.argsort(np.abs(path), axis=1)
+    phase = np.degrees(np.angle(-path[k + 1, order[k + 1, i]]))
+    lag = np.radians(phase % 360) / w[k + 1]
+    gain = factors[np.argmin(np.abs(np.log(factors)))] if len(factors) else np.inf
+    least = phase[np.argmin(np.abs(phase))] if len(phase) else np.inf
+    return float(gain), float(least), float(lag.min(initial=np.inf))
+
+
 def pencil_zeros(A, B, C, D):
     """Zeros as all generalised eigenvalues of the system pencil: infinite ones come out finite."""
     n, m = len(A), B.shape[1]

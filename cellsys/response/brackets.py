@@ -16,6 +16,7 @@ def find_roots(
     fa: np.ndarray,
     fb: np.ndarray,
     first: np.ndarray,
+    width: np.ndarray,
     rounds: int = 200,
 ) -> np.ndarray:
     """Where functions change sign, to four ulp of the larger end, or where they are one ulp of 1.
@@ -31,6 +32,8 @@ def find_roots(
         Ends and the values there, of opposite sign.
     first : array (c,)
         First points tried; the middle where they are not inside.
+    width : array (c,)
+        Brackets this narrow (relative) are done; 0: four ulp.
     rounds : int
         Most calls of f; halving alone needs no more than 64 for ends of one size.
 
@@ -40,6 +43,7 @@ def find_roots(
     """
     a, b, fa, fb = (np.array(v, dtype=float) for v in (a, b, fa, fb))
     c, fc, t = a.copy(), fa.copy(), (first - a) / (b - a)
+    least = np.maximum(2 * EPS, width / 2)
     t = np.where((t > 0) & (t < 1), t, 0.5)
     best = np.where(np.abs(fa) < np.abs(fb), a, b)
     active = np.arange(len(a))
@@ -54,9 +58,9 @@ def find_roots(
         b[i], fb[i] = np.where(same, b[i], a[i]), np.where(same, fb[i], fa[i])
         a[i], fa[i] = x, fx
         best[i] = np.where(np.abs(fa[i]) < np.abs(fb[i]), a[i], b[i])
-        width = np.abs(b[i] - a[i])
+        wide = np.abs(b[i] - a[i])
         with np.errstate(divide="ignore", invalid="ignore"):
-            limit = 2 * EPS * np.abs(best[i]) / width
+            limit = least[i] * np.abs(best[i]) / wide
             xi = (a[i] - b[i]) / (c[i] - b[i])
             phi = (fa[i] - fb[i]) / (fc[i] - fb[i])
             step = fa[i] / (fb[i] - fa[i]) * fc[i] / (fb[i] - fc[i]) + (c[i] - a[i]) / (
@@ -64,6 +68,7 @@ def find_roots(
             ) * fa[i] / (fc[i] - fa[i]) * fb[i] / (fc[i] - fb[i])
             safe = (phi**2 < xi) & ((1 - phi) ** 2 < 1 - xi) & np.isfinite(step)
         done = (np.abs(fx) <= EPS) | ~(limit < 0.5)
-        t[i] = np.clip(np.where(safe, step, 0.5), np.minimum(limit, 0.5), 1 - np.minimum(limit, 0.5))
+        limit = np.minimum(limit, 0.5)
+        t[i] = np.clip(np.where(safe, step, 0.5), limit, 1 - limit)
         active = i[~done]
     return best

@@ -14,7 +14,7 @@ from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.response.loci import track
+from cellsys.response.eigenvalues import track
 from cellsys.response.realization import balancing, realization
 from cellsys.response.zeros import zeros
 

@@ -12,8 +12,9 @@ from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError
-from cellsys.response.frequency import check_omega
+from cellsys.response.crossings import crossings
 from cellsys.response.disk import disk_margin
+from cellsys.response.frequency import check_omega
 from cellsys.response.integrators import MARGINAL, counted
 from cellsys.response.loci import Loci
 from cellsys.response.realization import EPS, Realization, balance, balancing, realization
@@ -176,7 +177,7 @@ def _at_the_ends(loci: Loci) -> tuple[np.ndarray, np.ndarray]:
 
 def _crossings(loci: Loci) -> tuple[np.ndarray, np.ndarray]:
     """`Margins.phase_crossings` and `Margins.gain_crossings`."""
-    real, unit = loci.crossings()
+    real, unit = crossings(loci)
     phase, gain = _at_the_ends(loci)
     inner = np.column_stack([real.omega, 1 / np.abs(real.values)])
     phase = np.concatenate([inner, phase])

@@ -50,6 +50,9 @@ def continuous_phase(
     )
     usable = np.isfinite(values).all(axis=0)
     path, values = path[usable], values[:, usable]
+    below, bound = size < low.max(), np.zeros((p, m, k))
+    if below.any():
+        bound[..., below] = evaluate.with_accuracy(s_plane(omega[below], system.dt))[1]
     out = np.empty((p, m, k))
     for number, (i, j) in enumerate(np.ndindex(p, m)):
         from_ = int(np.searchsorted(path, low[i, j] * (1 - 1e-12)))
@@ -62,8 +65,8 @@ def continuous_phase(
         # The angle itself is that of the response given; the curve says which turn it is on.
         angle = np.where(omega < 0, -1.0, 1.0) * np.angle(response[i, j])
         shown = angle + 2 * np.pi * np.round((near - angle) / (2 * np.pi))
-        # Below the asymptote's own frequency the response is rounding.
-        lost = (response[i, j] == 0) | (size < low[i, j])
+        # Where the response is rounding, the asymptote's own angle.
+        lost = (response[i, j] == 0) | (below & (bound[i, j] > 0.3 * np.abs(response[i, j])))
         out[i, j] = np.where(omega < 0, -1.0, 1.0) * np.where(lost, near, shown)
     return out
 

@@ -122,7 +122,8 @@ class Resolvent:
         M = s[:, None, None] * np.eye(len(b.A)) - b.A
         try:
             X = np.linalg.solve(M, b.B[None].astype(complex))
-            Y = np.linalg.solve(np.swapaxes(M, 1, 2), b.C.T[None].astype(complex)) if accuracy else X
+            back = np.swapaxes(M, 1, 2)
+            Y = np.linalg.solve(back, b.C.T[None].astype(complex)) if accuracy else X
         except np.linalg.LinAlgError:  # one of the points is a pole
             return self._dense(s, accuracy)
         G = np.moveaxis(b.C @ X, 0, -1) / self._scale[:, :, None]

@@ -17,8 +17,8 @@ from cellsys.response.spectrum import Spectrum
 class RootSet(Drawable, np.ndarray):
     """Poles or zeros: a read-only complex array (k,), sorted by falling real part.
 
-    Arithmetic, slices, methods and numpy's functions give plain arrays. What is known about the errors is worked
-    out on first use (it needs eigenvectors).
+    Arithmetic, slices, methods and numpy's functions give plain arrays. What is known about the
+    errors is worked out on first use (it needs eigenvectors).
 
     Attributes
     ----------
@@ -161,9 +161,9 @@ def _of_plain_arrays(name: str) -> Callable[..., Any]:
 
 # p.round(3), p.copy(), p.reshape(...): what plain arrays give.
 for _name in (
-    "argpartition argsort astype byteswap choose clip compress conj conjugate copy cumprod cumsum diagonal "
-    "dot flatten getfield mean prod ravel repeat reshape round searchsorted squeeze std sum swapaxes take "
-    "trace transpose var"
+    "argpartition argsort astype byteswap choose clip compress conj conjugate copy cumprod cumsum "
+    "diagonal dot flatten getfield mean prod ravel repeat reshape round searchsorted squeeze std "
+    "sum swapaxes take trace transpose var"
 ).split():
     setattr(RootSet, _name, _of_plain_arrays(_name))
 

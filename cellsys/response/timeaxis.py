@@ -11,7 +11,7 @@ _CONSTANTS = 7.0  # time constants until a mode counts as gone: exp(-7) = 1e-3
 _PERIODS = 10.0  # that an undamped oscillation is shown for
 _PER_CONSTANT, _PER_PERIOD = 5.0, 12.0  # points
 _LEAST = 500
-_SMALL = np.array([0.1, 0.02, 1.1e-3])  # what is left two quarters and one before the end, and there
+_SMALL = np.array([0.1, 0.02, 1.1e-3])  # left two quarters before the end, one, and there
 _LADDER = 11  # halvings of the axis at which the impulse response is looked at
 _MOST, _MOST_ENTRIES = 150_000, 20_000_000  # points; points times states times inputs
 
@@ -30,11 +30,12 @@ def automatic_times(system: Realization) -> np.ndarray:
     b = balance(system)
     step = system.dt if system.is_discrete else 0.0
     values = np.linalg.eigvals(b.A).astype(complex) if n else np.zeros(0, complex)
-    noise = 10 * n * EPS * float(sla.norm(b.A)) if n else 0.0
+    size = 10 * n * EPS * float(sla.norm(b.A)) if n else 0.0
+    noise = np.full(len(values), size)
     if step:
-        with np.errstate(divide="ignore"):
-            values = np.log(values[np.abs(values) > 1e-8]) / step
-        noise = max(noise, 10 * EPS) / step
+        values = values[np.abs(values) > 1e-8]
+        noise = np.maximum(size / np.abs(values), 10 * EPS) / step
+        values = np.log(values) / step
     rate, turn = values.real, np.abs(values.imag)
     decays, grows = rate < -noise, rate > noise
     lives = np.where(decays, _CONSTANTS / np.maximum(np.abs(rate), 1e-300), np.inf)
@@ -47,7 +48,7 @@ def automatic_times(system: Realization) -> np.ndarray:
     if end == 0:
         end = 10 * step if step else (1.0 if not n else 100.0)
     if n and decays.any() and min(b.B.size, b.C.size):
-        end = _settled(b.A, b.B, b.C, noise * (step or 1.0), step, end)
+        end = _settled(b.A, b.B, b.C, max(size, 10 * EPS if step else 0.0), step, end)
     if grows.any():
         end = min(end, _CONSTANTS / rate.max())
     fine = np.minimum(
@@ -56,7 +57,8 @@ def automatic_times(system: Realization) -> np.ndarray:
     )
     most = int(np.clip(_MOST_ENTRIES // max(n * system.n_inputs, 1), 2000, _MOST))
     if step:
-        return step * _instants(fine / step, lives / step, end / step, most, 2 if grows.any() else 10)
+        least = 2 if grows.any() else 10
+        return step * _instants(fine / step, lives / step, end / step, most, least)
     return _moments(fine, lives, end, most)
 
 

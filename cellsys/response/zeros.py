@@ -78,7 +78,7 @@ def zeros(sys: LinearSystem, *, rank_tol: float | None = None, infinite: float =
     system = realization(sys).dense()
     if rank_tol is not None and not 0 <= rank_tol < 1:
         raise ParameterError(f"rank_tol must lie in [0, 1), got {rank_tol!r}")
-    values, note, pencil = zero_values(system, rank_tol, infinite)
+    _, note, pencil = zero_values(system, rank_tol, infinite)
     if pencil is None:
         empty = spectrum(np.zeros((0, 0)))
         return RootSet(empty.values, kind="zero", dt=system.dt, detail=empty, note=note)

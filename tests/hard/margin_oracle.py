@@ -40,7 +40,8 @@ class Plant:
             gains = 1.0 / (s[:, None] - self.poles)
             return np.einsum("im,km,mj->kij", self.CV, gains, self.VB) + self.D
         M = s[:, None, None] * np.eye(self.n) * (1 + 1e-15) - self.A
-        return self.C @ np.linalg.solve(M, np.broadcast_to(self.B, (len(s), *self.B.shape))) + self.D
+        B = np.broadcast_to(self.B, (len(s), *self.B.shape))
+        return self.C @ np.linalg.solve(M, B) + self.D
 
     def loci(self, omega):
         """Eigenvalues of L, (k, q)."""
@@ -181,7 +182,8 @@ def compare(plant, found):
     )
     for w in places:
         near = at[np.argmin(np.abs(at - w))]
-        flat = np.abs(np.log(np.maximum(np.abs(plant.loci(np.array([near]))), 1e-300))).min() < SIGN / 10
+        size = np.maximum(np.abs(plant.loci(np.array([near]))), 1e-300)
+        flat = np.abs(np.log(size)).min() < SIGN / 10
         assert abs(near - w) <= PLACE * w + 1e-14 * plant.size or flat, (w, at)
     for w, turn in gain:
         assert singular(plant, w, np.exp(-1j * np.deg2rad(turn))) < VALUE, (w, turn)

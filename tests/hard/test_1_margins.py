@@ -78,7 +78,7 @@ def on_the_circle(rng):
 
 
 def on_the_boundary(rng):
-    """Undamped poles and zeros, integrators and chains of two, a zero at 0; in discrete time too."""
+    """Undamped poles and zeros, integrators, chains of two, a zero at 0; in discrete time too."""
     w, z = 10.0 ** rng.uniform(-1, 1, 2)
     kind = rng.integers(7)
     if kind == 0:  # undamped poles, rotating 2 x 2
@@ -129,10 +129,16 @@ def near_cancellations(rng):
 
 
 def close_loci(rng):
-    """Two loci that differ by 1e-1 to 1e-8, in coordinates up to 1e3 from orthogonal."""
+    """Two loci that differ by 1e-1 to 1e-8, in coordinates up to 1e3 from orthogonal; channels in
+    a ring, whose loci are turned copies of one."""
     n, gap = int(rng.integers(1, 4)), 10.0 ** rng.uniform(-8, -1)
     A, B, C, _ = random_system(rng, n, 1)
     d = float(rng.choice([0.0, 0.0, rng.normal()]))
+    if rng.random() < 0.2:
+        q = int(rng.integers(2, 5))
+        ring = np.roll(np.eye(q), 1, axis=0)
+        I = np.eye(q)  # noqa: E741
+        return np.kron(A, I), np.kron(B, I), np.kron(C, ring), d * ring, 0.0
     T = np.linalg.qr(rng.standard_normal((2, 2)))[0] @ np.diag([1.0, 10.0 ** rng.uniform(0, 3)])
     if rng.random() < 0.5:  # a + j b, a - j b with a small b
         T, C2 = np.eye(2), np.kron(C, np.eye(2)) + gap * np.kron(C, [[0.0, -1.0], [1.0, 0.0]])

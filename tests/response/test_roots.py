@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import copy
 import pickle
+import warnings
+from collections.abc import Iterator
+from typing import Any
 
 import control as ct
 import numpy as np
 import pytest
 import scipy.linalg as sla
+import scipy.signal
 from scipy.optimize import linear_sum_assignment
 
 from cellsys.errors import ParameterError
-from cellsys.response import damping, poles, zeros
+from cellsys.response import damping, margins, poles, zeros
 from tests import naive
 from tests.response import gallery
 
@@ -183,3 +187,68 @@ def test_published_systems_keep_their_known_poles() -> None:
     truth = -4 * (n + 1) * np.sin((2 * k + 1) * np.pi / (2 * (2 * n + 1))) ** 2
     found = poles(gallery.rod(n))
     assert apart(found, truth) <= found.error_bound.max()
+
+
+def outcome(call: Any, *args: Any) -> Any:
+    """What a call gives, or the error it raises."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return call(*args)
+        except Exception as error:
+            return error
+
+
+def calls_of_numpy(plain: np.ndarray) -> Iterator[tuple[str, Any]]:
+    """Functions of numpy that take an array, and methods of one as functions."""
+    left_out = ("info", "save", "asanyarray", "require", "empty", "tofile", "dump", "view",
+                "setflags")
+    names = {name for name in dir(np) if callable(getattr(np, name))}
+    for name in sorted(names - {n for n in names if isinstance(getattr(np, n), type)}):
+        if not name.startswith(("_", "show_", "source", "test", *left_out)):
+            yield f"numpy.{name}", getattr(np, name)
+    for name in dir(plain):
+        if not name.startswith(("_", "mT", *left_out)) and callable(getattr(plain, name)):
+            yield f".{name}", lambda array, *more, name=name: getattr(array, name)(*more)
+
+
+def test_numpy_takes_poles_like_any_array() -> None:
+    """Every function of numpy and every method of an array, with one argument or two."""
+    found = poles(gallery.random_stable(5, 1, 1, 0))
+    plain = np.array(found)
+    tried = 0
+    for name, call in calls_of_numpy(plain):
+        for more in ((), (3,), ("complex",)):
+            true, got = outcome(call, plain.copy(), *more), outcome(call, found, *more)
+            if isinstance(true, Exception):
+                continue
+            if isinstance(got, ValueError) and name.endswith(
+                ("copyto", "fill", "partition", "put", "sort", "resize", "byteswap", "setfield")
+            ):
+                continue  # it would write: read-only
+            tried += 1
+            assert type(got) is type(true), (name, more, got)
+            if isinstance(true, np.ndarray):
+                assert true.dtype == got.dtype, name
+                assert np.array_equal(true, got, equal_nan=true.dtype.kind in "fc"), name
+    assert tried > 200
+    np.testing.assert_array_equal(np.round(found, 3), np.round(plain, 3))
+    assert type(np.concatenate([found, found])) is np.ndarray
+    assert found.copy().flags.writeable
+    with pytest.raises(ValueError, match="read-only"):
+        found += 1
+
+
+def test_systems_of_scipy_are_taken() -> None:
+    for given, dt in ((scipy.signal.TransferFunction([1, 2], [1, 3, 4]), 0.0),
+                      (scipy.signal.TransferFunction([1, 2], [1, 3, 4], dt=0.1), 0.1),
+                      (scipy.signal.StateSpace([[-3, -4], [1, 0]], [[1], [0]], [[1, 2]], 0), 0.0)):
+        assert apart(poles(given), np.roots([1, 3, 4])) < 1e-14
+        assert apart(zeros(given), [-2]) < 1e-14
+        assert poles(given).dt == dt
+        assert margins(given).gain_margin > 0
+    for given, message in ((scipy.signal.ZerosPolesGain([1], [-1], 1), "to_ss"),
+                           (scipy.signal.TransferFunction([[1], [2]], [1, 2]), "several channels"),
+                           (scipy.signal.TransferFunction([1, 0, 0], [1, 2]), "improper")):
+        with pytest.raises(ParameterError, match=message):
+            poles(given)

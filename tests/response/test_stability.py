@@ -8,6 +8,7 @@ import scipy.linalg as sla
 
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.response import pseudospectra, pseudospectral_abscissa, stability
+from cellsys.response.integrators import MARGINAL
 from tests import naive
 from tests.response import gallery
 
@@ -155,7 +156,8 @@ def test_integrators_of_position_are_named_and_set_apart() -> None:
     plant = ct.ss(A, np.zeros((4, 1)), np.zeros((1, 4)), 0, 0,
                   states=["centre.x", "centre.y", "speed.x", "speed.y"])
     found = stability(plant)
-    assert found.verdict == "stable"
+    assert found.verdict == MARGINAL
+    assert str(found).startswith("marginal: stable apart from its integrators: every pole")
     assert found.integrators.count == 2
     assert found.integrators.states == ("centre.x", "centre.y")
     assert "set apart: 2 integrators" in found.reason
@@ -175,10 +177,32 @@ def test_integrators_survive_a_change_of_coordinates() -> None:
     assert stability(A, integrator_tol=1e-6).integrators.count == 2
 
 
-def test_integrators_in_series_are_unstable() -> None:
-    found = stability(gallery.integrators(2))
+@pytest.mark.parametrize(("length", "growth"), [(2, "t"), (3, "t^2"), (7, "t^6")])
+def test_integrators_in_series_are_unstable_and_counted(length: int, growth: str) -> None:
+    found = stability(gallery.integrators(length))
     assert found.verdict == "unstable"
-    assert "series" in found.reason
+    assert f"a chain of {length} integrators in series" in found.reason
+    assert f"grows like {growth}," in found.reason
+    # Two chains side by side: the longer one counts; in discrete time the pole is at 1.
+    A = sla.block_diag(np.eye(length, k=1), np.eye(2, k=1), [[-1.0]])
+    assert f"a chain of {length} integrators" in stability(A).reason
+    found = stability(discrete(np.eye(length) + np.eye(length, k=1)))
+    assert f"chain of {length} integrators in series (a defective pole at 1)" in found.reason
+    assert f"like {growth.replace('t', 'k')}," in found.reason
+
+
+def test_an_integrator_is_marginal() -> None:
+    # 1/s and 1/(s (s + 1)): a step makes them grow for ever.
+    for A, reason in (([[0.0]], "no poles besides integrators"),
+                      ([[0.0, 1.0], [0.0, -1.0]], "every pole lies inside")):
+        found = stability(np.array(A))
+        assert found.verdict == "marginal: stable apart from its integrators"
+        assert found.reason.startswith(reason)
+        assert found.reason.endswith("set apart: 1 integrator")
+    assert stability(discrete(np.eye(1))).verdict == MARGINAL
+
+
+def test_integrators_in_discrete_time() -> None:
     assert stability(discrete(np.array([[1.0, 1.0], [0, 1.0]]))).verdict == "unstable"
     assert stability(discrete(np.eye(1))).integrators.count == 1
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import control as ct
 import numpy as np
 import pytest
@@ -140,7 +142,7 @@ def test_sampling_refusals() -> None:
         c2d(c2d(lag, 0.1), 0.1)
     with pytest.raises(ParameterError, match="continuous already"):
         d2c(lag)
-    for pole, message in ((-0.5, "none|no continuous system of the same order"), (0.0, "delay")):
+    for pole, message in ((-0.5, "no continuous system of the same order"), (0.0, "pure delay")):
         with pytest.raises(ParameterError, match=message):
             d2c(([[pole]], [[1.0]], [[1.0]], [[0.0]], 0.1))
     with pytest.raises(ParameterError, match="singularity"):
@@ -239,3 +241,81 @@ def test_forced_response_agrees_with_python_control() -> None:
     truth = ct.forced_response(ct.ss(*system, 0), t, u).outputs
     np.testing.assert_allclose(forced_response(system, t, u).y[:, 0], truth, atol=1e-12)
     assert sla.norm(truth) > 0.1
+
+
+def default_axis(system: Any) -> tuple[np.ndarray, np.ndarray]:
+    found = step_response(system)
+    assert found.t[0] == 0
+    assert np.all(np.diff(found.t) > 0)
+    return found.t, found.y[:, 0, 0]
+
+
+def test_default_times_show_a_delay() -> None:
+    # z^-20, as a chain and turned, where its poles are found at eps^(1/20) = 0.16 around 0.
+    chain = (np.eye(20, k=-1), np.eye(20, 1), np.eye(1, 20, 19))
+    Q = sla.qr(np.random.default_rng(0).standard_normal((20, 20)))[0]
+    for A, B, C in (chain, (Q @ chain[0] @ Q.T, Q @ chain[1], chain[2] @ Q.T)):
+        t, y = default_axis((A, B, C, 0, 0.5))
+        assert t[-1] >= 20
+        np.testing.assert_allclose(y, t >= 10.0, atol=1e-12)
+    # A chain of 100 lags is a delay as well: seven time constants show nothing of it.
+    t, y = default_axis(gallery.lag_chain(100, 1.0))
+    assert 110 < t[-1] < 300
+    assert y[-1] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_default_times_end_before_growth_overflows() -> None:
+    t, y = default_axis((np.diag([2.0, -0.01]), np.ones((2, 1)), np.ones((1, 2)), 0))
+    assert t[-1] == pytest.approx(3.5, rel=1e-6)  # exp(7)
+    np.testing.assert_allclose(y, np.expm1(2 * t) / 2 - np.expm1(-0.01 * t) / 0.01, rtol=1e-9)
+    for pole in (1.5, -3.0, 1e100):
+        t, y = default_axis((np.diag([pole, 0.99]), np.ones((2, 1)), np.ones((1, 2)), 0, 0.1))
+        assert np.isfinite(y).all()
+        assert len(t) > 2
+
+
+@pytest.mark.parametrize("damping", [0.1, 1e-2, 1e-4])
+def test_default_times_resolve_every_oscillation(damping: float) -> None:
+    A = np.array([[0.0, 1.0], [-1.0, -2 * damping]])
+    slow = sla.block_diag(A, [[-1e-3]])
+    for matrix in (A, slow, 1e6 * A, np.kron(np.eye(2), slow)):
+        n = len(matrix)
+        t, _ = default_axis((matrix, np.ones((n, 1)), np.ones((1, n)), 0))
+        values = sla.eigvals(matrix)
+        for value in values:
+            life = 7 / -value.real
+            assert t[-1] > 0.999 * life
+            steps = np.diff(t)[t[:-1] < life]
+            if value.imag != 0:  # ten to a period, as long as it lasts
+                assert steps.max() <= 2 * np.pi / (10 * abs(value.imag))
+    # Undamped: ten periods.
+    t, _ = default_axis((np.array([[0.0, 4.0], [-4.0, 0.0]]), np.ones((2, 1)), np.ones((1, 2)), 0))
+    assert t[-1] >= 9.99 * 2 * np.pi / 4
+    # Rates 1e6 apart: both ends of the response, in a few hundred points.
+    t, y = default_axis((np.diag([-1e3, -1e-3]), np.ones((2, 1)), np.array([[1e3, 1e-3]]), 0))
+    assert len(t) < 2000
+    assert np.count_nonzero(t < 1e-3) > 3
+    np.testing.assert_allclose(y, 2 - np.exp(-1e3 * t) - np.exp(-1e-3 * t), atol=1e-9)
+
+
+def test_default_times_of_slow_samples() -> None:
+    # A pole at 1 - 1e-6 beside one at 0.5: 7e6 samples, of which a few thousand are shown.
+    A, B, C = np.diag([1 - 1e-6, 0.5]), np.ones((2, 1)), np.array([[1e-6, 0.5]])
+    t, y = default_axis((A, B, C, 0, 1.0))
+    assert t[-1] > 6.9e6
+    assert len(t) < 10_000
+    assert np.array_equal(t[:100], np.arange(100.0))
+    np.testing.assert_allclose(y, 2 - 0.5**t - (1 - 1e-6) ** t, atol=1e-9)
+
+
+def test_sampling_methods_are_named() -> None:
+    lag = gallery.lag_chain(1, 1.0)
+    for method, text in (("tustin", "'tustin'"), (Tustin, "write Tustin"), (None, "NoneType")):
+        with pytest.raises(ParameterError, match=r"ZeroOrderHold.*Tustin") as error:
+            c2d(lag, 0.1, method)
+        assert text in str(error.value)
+        with pytest.raises(ParameterError, match=r"ZeroOrderHold.*Tustin"):
+            d2c(c2d(lag, 0.1), method)
+    for dt in ("0.1", None, np.nan):
+        with pytest.raises(ParameterError, match="dt must be"):
+            c2d(lag, dt)
