@@ -105,6 +105,17 @@ def grid_margins(A, B, C, D, dt=0.0) -> tuple[float, float, float]:
     return float(gain), float(least), float(lag.min(initial=np.inf))
 
 
+def seven_time_constants(A):
+    """501 times to seven time constants of the slowest mode, whatever the others do."""
+    return np.linspace(0.0, 7.0 / np.abs(np.linalg.eigvals(A).real).min(), 501)
+
+
+def phase_by_unwrapping(num, den, omega) -> float:
+    """Phase in deg, moved into (-270, 90]: poles at the origin are not counted."""
+    angle = np.degrees(np.angle(np.polyval(num, 1j * omega) / np.polyval(den, 1j * omega)))
+    return float(angle - 360 * np.round((angle + 90) / 360))
+
+
 def pencil_zeros(A, B, C, D):
     """Zeros as all generalised eigenvalues of the system pencil: infinite ones come out finite."""
     n, m = len(A), B.shape[1]

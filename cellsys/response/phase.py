@@ -94,9 +94,11 @@ def _asymptote(evaluate: Resolvent, dt: float, low: float) -> tuple[np.ndarray, 
     count = len(trial)
     G, bound = evaluate.with_accuracy(s_plane(np.concatenate([trial, 1.1 * trial]), dt))
     with np.errstate(divide="ignore", invalid="ignore"):
-        good = np.isfinite(G) & (bound <= 1e-2 * np.abs(G))
+        good = np.isfinite(G) & (bound <= 0.3 * np.abs(G))
         power = -np.log(np.abs(G[..., count:]) / np.abs(G[..., :count])) / np.log(1.1)
-    good = good[..., :count] & good[..., count:] & np.isfinite(power)
+        good = good[..., :count] & good[..., count:] & np.isfinite(power)
+        near = good & (np.abs(power - np.round(power)) < 0.1)  # a power of the frequency
+    good = np.where(near.any(axis=-1, keepdims=True), near, good)
     at = np.argmax(good, axis=-1)
     slope = np.take_along_axis(power, at[..., None], axis=-1)[..., 0]
     return trial[at], np.where(good.any(axis=-1), np.round(slope), 0.0)

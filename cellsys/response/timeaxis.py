@@ -93,7 +93,8 @@ def _instants(
 ) -> np.ndarray:
     """Discrete times in samples: all of the first 2000, then by strides that double."""
     end = max(int(np.ceil(end - 1e-9)), least)
-    parts, k, left = [np.arange(min(end, 4 * _LEAST) + 1)], min(end, 4 * _LEAST), most
+    k = min(end, 4 * _LEAST)
+    parts, left = [np.arange(k + 1)], most - k
     while k < end and left > 0:
         alive = lives > k
         need = min(float(fine[alive].min(initial=np.inf)), end / _LEAST)

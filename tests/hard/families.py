@@ -7,6 +7,7 @@ from importlib import import_module
 _FILES = {
     "Spectra": "test_1_spectra",
     "Margins": "test_1_margins",
+    "Drawn": "test_1_drawn",
     "Coupling": "test_2_coupling",
     "Polarity": "test_3_polarity",
     "Data": "test_4_data",
