@@ -131,7 +131,8 @@ def _settled(
     for quarters in range(1, 160):
         C = C @ power
         sizes.append(float(np.abs(C @ B).max(initial=0.0)))
-        small = np.array(sizes[-3:]) <= _SMALL * max(sizes)
-        if quarters * quarter >= end * (1 - 1e-9) and np.all(small):
+        # A few samples in all have no ladder: three values are looked at in any case.
+        small = len(sizes) >= 3 and np.all(np.array(sizes[-3:]) <= _SMALL * max(sizes))
+        if quarters * quarter >= end * (1 - 1e-9) and small:
             return quarters * quarter
     return end

@@ -34,7 +34,9 @@ def default_axes_show_the_response(kind, n, spread, damping, samples, seed):
     B = B.reshape(N, 1)
     dt = 0.0
     if samples:
-        dt = 0.3 / np.abs(poles).max()
+        # From ten samples per time constant of the fastest mode to one per ten of them.
+        turns = np.abs(poles.imag).max()
+        dt = 10.0 ** rng.uniform(-1, 0.3 if turns else 1) / (turns or np.abs(poles).max())
         F = sla.expm(np.block([[A, B], [np.zeros((1, N + 1))]]) * dt)
         A, B = F[:N, :N], F[:N, N:]
         line = (np.eye(samples, k=-1), np.eye(samples, 1), np.eye(1, samples, samples - 1))
@@ -149,7 +151,7 @@ CASES = (
             "n": Int(1, 8),
             "spread": Power(0, 6),
             "damping": Power(-4, -0.1),
-            "samples": Choice(0, 0, 1, 20),
+            "samples": Choice(0, 0, 1, 2, 20),
             "seed": SEED,
         },
         oracle=True,

@@ -264,6 +264,14 @@ def test_default_times_show_a_delay() -> None:
     assert y[-1] == pytest.approx(1.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("pole", [0.9, 0.5, 0.1, 1e-3, -0.5, -0.99, 0.0])
+def test_default_times_of_a_few_samples(pole: float) -> None:
+    t, y = default_axis(([[pole]], [[1.0]], [[1.0]], 0, 0.1))
+    np.testing.assert_allclose(t, 0.1 * np.arange(len(t)), atol=1e-12)
+    assert len(t) >= 10
+    assert y[-1] == pytest.approx(1 / (1 - pole), rel=2e-3)
+
+
 def test_default_times_end_before_growth_overflows() -> None:
     t, y = default_axis((np.diag([2.0, -0.01]), np.ones((2, 1)), np.ones((1, 2)), 0))
     assert t[-1] == pytest.approx(3.5, rel=1e-6)  # exp(7)
