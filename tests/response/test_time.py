@@ -318,7 +318,7 @@ def test_default_times_of_slow_samples() -> None:
 
 def test_sampling_methods_are_named() -> None:
     lag = gallery.lag_chain(1, 1.0)
-    for method, text in (("tustin", "'tustin'"), (Tustin, "write Tustin"), (None, "NoneType")):
+    for method, text in (("tustin", "'tustin'"), (Tustin, "the class Tustin"), (None, "None")):
         with pytest.raises(ParameterError, match=r"ZeroOrderHold.*Tustin") as error:
             c2d(lag, 0.1, method)
         assert text in str(error.value)
