@@ -15,6 +15,7 @@ from cellsys.response import (
     stability,
     step_response,
 )
+from cellsys.response.integrators import MARGINAL
 from cellsys.system import OdeSystem
 from tests import naive
 from tests.hard.stress import SEED, Case, Choice, Int, Power, Real, hold
@@ -61,7 +62,7 @@ def poles_lie_within_their_bounds(family, n, depth, scale):
     assert len(damping(A).poles) == n
     exact = true.real.max()
     verdict = stability(A).verdict
-    assert verdict in {"stable": ("stable", "not decided")}.get(
+    assert verdict in {"stable": ("stable", MARGINAL, "not decided")}.get(
         "stable" if exact < 0 else "", ("unstable", "not decided")
     )
 
@@ -140,7 +141,8 @@ def widely_spread_steps(low, high, seed):
     got = step_response((A, B, C, np.zeros((2, 1))), t).y
     want = C @ -np.expm1(-np.outer(rates, t))
     assert np.abs(got[:, :, 0].T - want).max() < 1e-9 * np.abs(C).sum()
-    assert stability(A).verdict in ("stable", "not decided")
+    # the slowest, 1e-16 of the fastest, is rounding of an integrator
+    assert stability(A).verdict in ("stable", MARGINAL, "not decided")
 
 
 def test_rates_far_apart():
@@ -170,10 +172,10 @@ def test_copies_and_defective_poles(copies):
 @pytest.mark.parametrize(
     ("A", "verdicts"),
     [
-        (np.zeros((1, 1)), ("stable", "not decided")),  # an integrator, set apart
+        (np.zeros((1, 1)), (MARGINAL,)),  # an integrator, set apart
         (np.array([[0.0, 1.0], [-1.0, 0.0]]), ("not decided", "unstable")),
         (np.array([[0.0, 1.0], [0.0, 0.0]]), ("unstable",)),  # grows as t
-        (-1e-15 * np.eye(2) + np.diag([0, -1.0]), ("not decided", "stable")),
+        (-1e-15 * np.eye(2) + np.diag([0, -1.0]), ("not decided", MARGINAL)),
         (gallery.bidiagonal(60), ("not decided",)),
         (gallery.arnold_laub(1e-9)[0], ("unstable", "not decided")),
     ],
