@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 import cellsys as cs
-from cellsys.reduction.equivariant.forecast import conformal_bands, residuals
-from cellsys.reduction.equivariant.records import read_records, sites_of
-from cellsys.reduction.equivariant.worth import Baselines, measure, relative, roll_record
+from cellsys.cell.forecast import conformal_bands, residuals
+from cellsys.cell.records import read_records, sites_of
+from cellsys.cell.worth import Baselines, measure, relative, roll_record
 
 SCENE = Path(__file__).parents[1] / "examples" / "spreading.toml"
 

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 import cellsys as cs
-from cellsys.reduction.equivariant.certificate import moments_of
-from cellsys.reduction.equivariant.records import read_records
+from cellsys.cell.certificate import moments_of
+from cellsys.cell.records import read_records
 from cellsys.scene.scene import Gradient
 
 SCENE = Path(__file__).parents[1] / "examples" / "spreading.toml"

@@ -14,7 +14,9 @@ import pytest
 
 import cellsys
 from cellsys.loop import PolarityLaw
-from cellsys.reduction import LatentModel, LeastSquares, StiffnessSensor, reduce, snapshots
+from cellsys.model import LatentModel, StiffnessSensor
+from cellsys.reduction import LeastSquares, reduce
+from cellsys.samples import snapshots
 from cellsys.scene import Scene, run_scene
 from cellsys.store import save_archive
 from tests.loop.systems import NAMES, make
@@ -174,7 +176,7 @@ def test_bad_model_files(command, call, model_file, tmp_path):
 
 
 def test_bode_of_a_scheduled_model_along_time(call, model_file, tmp_path):
-    from tests.reduction.equivariant.runs import model
+    from tests.cell.runs import model
 
     model().save(tmp_path / "scheduled.npz")
     code, out, _ = call("bode", "scheduled.npz", "--at", "20,100", "-o", "along.png", "--json")

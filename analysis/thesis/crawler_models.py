@@ -17,7 +17,9 @@ import scipy.sparse as sp
 from cellsys.errors import IntegrationError
 from cellsys.integrate import DOP853, simulate
 from cellsys.mechanics.crawler import Crawler, build_crawlers
-from cellsys.reduction import PCR, LatentModel, RunData, Snapshots
+from cellsys.model import LatentModel
+from cellsys.reduction import PCR
+from cellsys.samples import RunData, Snapshots
 from cellsys.system import Block, Layout
 
 METHOD = DOP853(rtol=1e-8, atol=1e-10)

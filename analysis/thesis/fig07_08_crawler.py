@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from cellsys.errors import CellsysError
-from cellsys.reduction import PCR, LatentModel, LeastSquares
+from cellsys.model import LatentModel
+from cellsys.reduction import PCR, LeastSquares
 
 HERE = Path(__file__).parent
 models = SimpleNamespace(**runpy.run_path(str(HERE / "crawler_models.py")))

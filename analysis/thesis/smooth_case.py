@@ -18,7 +18,9 @@ import scipy.linalg as sla
 from cellsys.bondgraph import BondGraph, C, I, One, R
 from cellsys.errors import IntegrationError
 from cellsys.integrate import DOP853, simulate
-from cellsys.reduction import PCR, LatentModel, LeastSquares, RunData, Snapshots
+from cellsys.model import LatentModel
+from cellsys.reduction import PCR, LeastSquares
+from cellsys.samples import RunData, Snapshots
 from cellsys.system import Layout, OdeSystem
 
 DT = 0.02

@@ -15,7 +15,8 @@ import scipy.linalg as sla
 from cellsys.integrate import DOP853, simulate
 from cellsys.mechanics.crawler import Crawler, build_crawlers
 from cellsys.mechanics.geometry.chain import Chain
-from cellsys.reduction import LatentModel, RunData
+from cellsys.model import LatentModel
+from cellsys.samples import RunData
 from cellsys.trajectory import Trajectory
 
 METHOD = DOP853(rtol=1e-8, atol=1e-10)

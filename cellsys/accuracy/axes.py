@@ -27,7 +27,9 @@ from cellsys.population import (
     Superposition,
     couple,
 )
-from cellsys.reduction import LatentModel, Snapshots, compare_reductors, learning_curve
+from cellsys.model import LatentModel
+from cellsys.reduction import compare_reductors, learning_curve
+from cellsys.samples import Snapshots
 from cellsys.scene import Scene, build
 
 NUDGE = 1e-13  # of one weight: enough for the dense route, far below every tolerance

@@ -36,7 +36,8 @@ from cellsys.integrate import CVODES, DOP853, LSODA, Exponential
 from cellsys.integrate.simulate import check_times
 from cellsys.kinds import Seed
 from cellsys.loop import ClosedLoop, ScheduledLoop, closed_loop
-from cellsys.reduction import EquivariantModel, LatentModel
+from cellsys.cell import EquivariantModel
+from cellsys.model import LatentModel
 from cellsys.scene import Scene
 
 

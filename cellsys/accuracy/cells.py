@@ -13,7 +13,7 @@ from cellsys.accuracy.axes import CostAxis, CostRow
 from cellsys.arguments import checked
 from cellsys.contracts import MatrixField
 from cellsys.errors import ParameterError
-from cellsys.reduction import CellsOnField, EquivariantModel
+from cellsys.cell import CellsOnField, EquivariantModel
 from cellsys.scene import Scene
 from cellsys.trajectory import Trajectory
 

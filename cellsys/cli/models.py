@@ -10,7 +10,7 @@ import typer
 from cellsys.cli.console import Json, ModelFile, app, dump
 
 if TYPE_CHECKING:
-    from cellsys.reduction import LatentModel
+    from cellsys.model import LatentModel
 
 
 @app.command()
@@ -28,7 +28,9 @@ def reduce(
 ) -> None:
     """Learn a reduced model from runs."""
     from cellsys.errors import ParameterError
-    from cellsys.reduction import PCR, Contractive, Equivariant, LeastSquares, snapshots
+    from cellsys.cell import Equivariant
+    from cellsys.reduction import PCR, Contractive, LeastSquares
+    from cellsys.samples import snapshots
     from cellsys.reduction import reduce as learn
     from cellsys.scene.ensemble import read_run
 
@@ -47,7 +49,7 @@ def reduce(
 
 
 def _load(path: Path) -> LatentModel:
-    from cellsys.reduction import LatentModel
+    from cellsys.model import LatentModel
 
     return LatentModel.load(path)
 
@@ -55,7 +57,7 @@ def _load(path: Path) -> LatentModel:
 @app.command()
 def poles(model: ModelFile, as_json: Json = False) -> None:
     """Poles of a model: frequency, damping, time constant."""
-    from cellsys.reduction import EquivariantModel
+    from cellsys.cell import EquivariantModel
     from cellsys.response import damping
     from cellsys.study.run import plant_of
 
@@ -132,7 +134,7 @@ def _bode_along(
     """Margins and Bode plot of a scheduled loop frozen at several times."""
     from cellsys.errors import ParameterError
     from cellsys.loop import closed_loop
-    from cellsys.reduction import EquivariantModel
+    from cellsys.cell import EquivariantModel
 
     if not isinstance(model, EquivariantModel):
         raise ParameterError("--at is for a scheduled model; this one is the same at all times")

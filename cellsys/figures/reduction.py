@@ -7,7 +7,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from cellsys.reduction.card import DIVERGED
+from cellsys.model.card import DIVERGED
 
 COLOURS = {"PCR": "C0", "LeastSquares": "C1", "Equivariant": "C2"}
 

@@ -5,7 +5,7 @@ from cellsys.loop.input_map import MPol
 from cellsys.loop.join import closed_loop, loop_copies, parametric_loop
 from cellsys.loop.polarity import Perturb, PolarityLaw, Stay
 from cellsys.loop.scheduled import ScheduledLoop
-from cellsys.reduction.sensor import StiffnessSensor
+from cellsys.model.sensor import StiffnessSensor
 
 __all__ = [
     "ClosedLoop",

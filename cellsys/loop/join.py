@@ -16,10 +16,10 @@ from cellsys.loop.closed_loop import ClosedLoop, check_point
 from cellsys.loop.loop_system import LoopCopies
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.loop.scheduled import ScheduledLoop
-from cellsys.reduction.commands import harmonic
-from cellsys.reduction.equivariant.model import EquivariantModel
-from cellsys.reduction.model import LatentModel
-from cellsys.reduction.sensor import StiffnessSensor
+from cellsys.samples.commands import harmonic
+from cellsys.cell.model import EquivariantModel
+from cellsys.model.latent import LatentModel
+from cellsys.model.sensor import StiffnessSensor
 from cellsys.system import Block, Layout
 from cellsys.units import shaped_array
 

@@ -21,11 +21,11 @@ from cellsys.integrate.estimate import estimate_by
 from cellsys.loop.loop_system import model_error
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.loop.substeps import SUBSTEPS, headings_inside
-from cellsys.reduction.equivariant.dynamics import CellState
-from cellsys.reduction.equivariant.forecast import watched
-from cellsys.reduction.equivariant.model import EquivariantModel
-from cellsys.reduction.local_sensor import LocalSensor
-from cellsys.reduction.sensor import StiffnessSensor
+from cellsys.cell.dynamics import CellState
+from cellsys.cell.forecast import watched
+from cellsys.cell.model import EquivariantModel
+from cellsys.model.network_sensor import LocalSensor
+from cellsys.model.sensor import StiffnessSensor
 from cellsys.response import Margins, margins
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory

@@ -30,7 +30,7 @@ from cellsys.population.maps import field_rows
 from cellsys.population.modes import Modes, modes_of
 from cellsys.population.poleset import PoleSet, pole_set
 from cellsys.population.split import FieldSplit, field_split
-from cellsys.reduction import LatentModel
+from cellsys.model import LatentModel
 from cellsys.response.certainty import PoleCertainty
 
 DENSE_LIMIT = 4000

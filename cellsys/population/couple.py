@@ -17,7 +17,7 @@ from cellsys.population.headings import loop_of
 from cellsys.population.load_ports import LoadPorts
 from cellsys.population.maps import basis_of, field_rows
 from cellsys.population.ports import CellPort
-from cellsys.reduction import LatentModel, StiffnessSensor
+from cellsys.model import LatentModel, StiffnessSensor
 from cellsys.units import real_array
 
 MOST_CELLS = 10**15  # counts of poles stay whole numbers in 64 bits

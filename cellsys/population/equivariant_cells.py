@@ -27,8 +27,8 @@ from cellsys.population.load_ports import PortedCells
 from cellsys.population.polar import frozen_port, polar_gather
 from cellsys.population.poleset import PoleSet
 from cellsys.population.verdict import CoupledStability
-from cellsys.reduction.equivariant.forecast import watched
-from cellsys.reduction.equivariant.on_field import CellsOnField
+from cellsys.cell.forecast import watched
+from cellsys.cell.on_field import CellsOnField
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 

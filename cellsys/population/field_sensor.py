@@ -17,7 +17,7 @@ from cellsys.arguments import checked
 from cellsys.contracts import MatrixField
 from cellsys.errors import ParameterError
 from cellsys.laws.sensing import nodal_sum, sensed_direction
-from cellsys.reduction.local_sensor import INNER, REACH, LocalSensor
+from cellsys.model.network_sensor import INNER, REACH, LocalSensor
 
 MEASURES = ("stiffness", "stress")
 

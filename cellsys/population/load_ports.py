@@ -35,7 +35,7 @@ from cellsys.population.graph import check_positions
 from cellsys.population.poleset import PoleSet, pole_set
 from cellsys.population.ports import CellPort, PortPassivity
 from cellsys.population.verdict import CoupledStability, judge
-from cellsys.reduction import LatentModel, StiffnessSensor
+from cellsys.model import LatentModel, StiffnessSensor
 from cellsys.units import real_array
 
 DENSE_LIMIT = 4000

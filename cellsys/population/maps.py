@@ -20,7 +20,7 @@ import scipy.linalg as sla
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError, RepresentationError
-from cellsys.reduction import LatentModel
+from cellsys.model import LatentModel
 
 _ORTHONORMAL = 1e-8  # |V^T V - I| up to which the split P + V_alpha^T V_alpha = I is meant to hold
 

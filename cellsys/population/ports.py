@@ -16,7 +16,7 @@ import scipy.linalg as sla
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.reduction import StiffnessSensor
+from cellsys.model import StiffnessSensor
 from cellsys.units import real_array
 
 ACTIVE = -1e-10  # a port below counts as active [notes: theory, passivity]

@@ -2,24 +2,24 @@
 
 from typing import Any
 
-from cellsys.reduction.assessment import assess
+from cellsys.worth.assessment import assess
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
-from cellsys.reduction.card import Card
+from cellsys.model.card import Card
 from cellsys.reduction.certainty import PoleCertainty, pole_certainty
 from cellsys.reduction.comparison import ComparedModel, Comparison, compare_reductors
-from cellsys.reduction.contraction import Contraction, contraction
+from cellsys.model.contraction import Contraction, contraction
 from cellsys.reduction.contractive import Contractive
-from cellsys.reduction.equivariant.forecast import ErrorBands, Forecast, ValidityMonitor
-from cellsys.reduction.equivariant.model import EquivariantModel
-from cellsys.reduction.equivariant.on_field import CellsOnField
-from cellsys.reduction.equivariant.on_matrix import with_matrix
-from cellsys.reduction.equivariant.port import PolarPort
-from cellsys.reduction.equivariant.reductor import Equivariant
-from cellsys.reduction.equivariant.schedule import Clock
-from cellsys.reduction.equivariant.worth import realisation_floor
+from cellsys.cell.forecast import ErrorBands, Forecast, ValidityMonitor
+from cellsys.cell.model import EquivariantModel
+from cellsys.cell.on_field import CellsOnField
+from cellsys.cell.on_matrix import with_matrix
+from cellsys.cell.port import PolarPort
+from cellsys.cell.reductor import Equivariant
+from cellsys.cell.schedule import Clock
+from cellsys.cell.worth import realisation_floor
 from cellsys.reduction.jacobian import Jacobian
 from cellsys.reduction.least_squares import LeastSquares
-from cellsys.reduction.model import LatentModel
+from cellsys.model.latent import LatentModel
 from cellsys.reduction.pcr import PCR
 from cellsys.reduction.piecewise import TPWL, PiecewiseModel
 from cellsys.reduction.reduce import reduce, reduce_orders
@@ -31,9 +31,9 @@ from cellsys.reduction.selection import (
     learning_curve,
     select_model,
 )
-from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
-from cellsys.reduction.snapshots import RunData, Snapshots, snapshots
-from cellsys.reduction.validity import Flag, TrainedRange
+from cellsys.model.sensor import StiffnessSensor, fit_sensor
+from cellsys.samples.snapshots import RunData, Snapshots, snapshots
+from cellsys.model.trained_range import Flag, TrainedRange
 
 _FIELD = ("FullField", "GalerkinField", "full_field")
 
@@ -41,7 +41,7 @@ _FIELD = ("FullField", "GalerkinField", "full_field")
 def __getattr__(name: str) -> Any:
     """Field models are loaded when first used: they bring the mechanics, and numba with it."""
     if name in _FIELD:
-        from cellsys.reduction import field
+        from cellsys import field
 
         return getattr(field, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -16,7 +16,7 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.errors import ParameterError, RankError
 from cellsys.kinds import Seed
-from cellsys.reduction.snapshots import Snapshots
+from cellsys.samples.snapshots import Snapshots
 
 _EXACT_SIZE = 4e6  # entries up to which the exact SVD is the default
 

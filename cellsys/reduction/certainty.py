@@ -16,7 +16,7 @@ from cellsys.contracts import Reductor
 from cellsys.errors import CellsysError, DataError
 from cellsys.reduction.basis import Basis, fit_basis
 from cellsys.reduction.regression import LatentParts, truncated
-from cellsys.reduction.snapshots import RunData, Snapshots
+from cellsys.samples.snapshots import RunData, Snapshots
 from cellsys.response.certainty import PoleCertainty
 
 GROUPS = 20

@@ -15,15 +15,15 @@ from cellsys.contracts import Reductor
 from cellsys.drawable import Drawable
 from cellsys.errors import CellsysError, ParameterError
 from cellsys.reduction.basis import check_order, fit_basis
-from cellsys.reduction.card import BASELINES, DIVERGED, compared
+from cellsys.model.card import BASELINES, DIVERGED, compared
 from cellsys.reduction.contractive import Contractive
 from cellsys.reduction.least_squares import LeastSquares
-from cellsys.reduction.model import LatentModel
+from cellsys.model.latent import LatentModel
 from cellsys.reduction.pcr import PCR
 from cellsys.reduction.reduce import complete, reduce_orders
 from cellsys.reduction.regression import LatentParts
 from cellsys.reduction.ridge import Ridge
-from cellsys.reduction.snapshots import Snapshots
+from cellsys.samples.snapshots import Snapshots
 
 METHODS = (PCR(), LeastSquares(), Ridge(), Contractive())
 

@@ -12,9 +12,9 @@ import scipy.sparse as sp
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
-from cellsys.reduction.model import LatentModel
+from cellsys.model.latent import LatentModel
 from cellsys.reduction.regression import LatentParts, input_map, learned_model
-from cellsys.reduction.snapshots import Snapshots
+from cellsys.samples.snapshots import Snapshots
 from cellsys.system import Layout, OdeSystem
 from cellsys.units import real_array
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
-from cellsys.reduction.model import LatentModel
+from cellsys.model.latent import LatentModel
 from cellsys.reduction.regression import (
     LatentParts,
     StepSamples,
@@ -17,7 +17,7 @@ from cellsys.reduction.regression import (
     regress,
     truncated,
 )
-from cellsys.reduction.snapshots import Snapshots
+from cellsys.samples.snapshots import Snapshots
 
 
 @checked

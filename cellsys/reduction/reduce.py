@@ -11,16 +11,16 @@ import numpy as np
 from cellsys.arguments import checked
 from cellsys.contracts import Reductor
 from cellsys.errors import ParameterError
-from cellsys.reduction.assessment import Encoded, assess, encode_all, encode_start
+from cellsys.worth.assessment import Encoded, assess, encode_all, encode_start
 from cellsys.reduction.basis import Basis, fit_basis
 from cellsys.reduction.certainty import refits
-from cellsys.reduction.equivariant.reductor import Equivariant
-from cellsys.reduction.model import LatentModel
+from cellsys.cell.reductor import Equivariant
+from cellsys.model.latent import LatentModel
 from cellsys.reduction.pcr import PCR
 from cellsys.reduction.regression import LatentParts, truncated
-from cellsys.reduction.sensor import StiffnessSensor, fit_sensor
-from cellsys.reduction.snapshots import Snapshots
-from cellsys.reduction.validity import TrainedRange
+from cellsys.model.sensor import StiffnessSensor, fit_sensor
+from cellsys.samples.snapshots import Snapshots
+from cellsys.model.trained_range import TrainedRange
 from cellsys.units import real_number
 
 

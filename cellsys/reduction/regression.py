@@ -11,8 +11,8 @@ import scipy.linalg as sla
 
 from cellsys.errors import DataError, ParameterError
 from cellsys.reduction.basis import Basis, check_order
-from cellsys.reduction.model import LatentModel
-from cellsys.reduction.snapshots import Snapshots
+from cellsys.model.latent import LatentModel
+from cellsys.samples.snapshots import Snapshots
 
 
 def learned_model(

@@ -22,9 +22,9 @@ from cellsys.errors import DataError, ParameterError
 from cellsys.kinds import Seed
 from cellsys.reduction.basis import check_order
 from cellsys.reduction.comparison import described, measured, refuse_shared_runs
-from cellsys.reduction.model import LatentModel
+from cellsys.model.latent import LatentModel
 from cellsys.reduction.reduce import reduce
-from cellsys.reduction.snapshots import Snapshots
+from cellsys.samples.snapshots import Snapshots
 
 
 @checked

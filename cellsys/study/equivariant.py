@@ -12,17 +12,12 @@ import numpy as np
 from cellsys.errors import CellsysError, FileFormatError, LostRunError, RankError, SceneError
 from cellsys.loop import PolarityLaw, closed_loop
 from cellsys.observe import heading_error_deg
-from cellsys.reduction import (
-    Equivariant,
-    EquivariantModel,
-    GalerkinField,
-    LatentModel,
-    Snapshots,
-    snapshots,
-    with_matrix,
-)
-from cellsys.reduction.equivariant.records import read_records
-from cellsys.reduction.provenance import data_hash
+from cellsys.cell import Equivariant, EquivariantModel, with_matrix
+from cellsys.field import GalerkinField
+from cellsys.model import LatentModel
+from cellsys.samples import Snapshots, snapshots
+from cellsys.cell.records import read_records
+from cellsys.samples.provenance import data_hash
 from cellsys.response import margins
 from cellsys.scene import Scene, build
 from cellsys.store.hashing import fingerprint

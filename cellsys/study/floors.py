@@ -8,8 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from cellsys.mechanics.commands import Commands
-from cellsys.reduction import EquivariantModel, realisation_floor, snapshots
-from cellsys.reduction.equivariant.records import read_records
+from cellsys.cell import EquivariantModel, realisation_floor
+from cellsys.samples import snapshots
+from cellsys.cell.records import read_records
 from cellsys.scene import Scene
 from cellsys.trajectory import Trajectory, cell_names
 

@@ -11,7 +11,9 @@ import numpy as np
 
 from cellsys.drawable import Drawable
 from cellsys.errors import IntegrationError
-from cellsys.reduction import LatentModel, Snapshots, reduce_orders
+from cellsys.model import LatentModel
+from cellsys.reduction import reduce_orders
+from cellsys.samples import Snapshots
 from cellsys.response import Margins
 from cellsys.study.coordinates import Coordinates
 from cellsys.trajectory import Trajectory

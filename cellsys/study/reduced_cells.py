@@ -12,7 +12,8 @@ from cellsys.errors import ParameterError
 from cellsys.loop import PolarityLaw
 from cellsys.observe import heading_error_deg
 from cellsys.population import FieldSensor, LoadPorts, couple
-from cellsys.reduction import EquivariantModel, full_field
+from cellsys.cell import EquivariantModel
+from cellsys.field import full_field
 from cellsys.scene import Scene
 from cellsys.trajectory import Trajectory, cell_names
 

@@ -16,14 +16,10 @@ from cellsys.errors import CellsysError, ParameterError, RankError
 from cellsys.integrate import CVODES
 from cellsys.loop import ClosedLoop, Linearisation, PolarityLaw, closed_loop
 from cellsys.observe import heading_error_deg, summary_of_run
-from cellsys.reduction import (
-    PCR,
-    LatentModel,
-    LeastSquares,
-    Snapshots,
-    snapshots,
-)
-from cellsys.reduction.assessment import encode_start
+from cellsys.model import LatentModel
+from cellsys.reduction import PCR, LeastSquares
+from cellsys.samples import Snapshots, snapshots
+from cellsys.worth.assessment import encode_start
 from cellsys.reduction.basis import check_order
 from cellsys.response import Margins, RootSet, margins, stability
 from cellsys.scene import ChainScene, Scene, build, load_scene, run_ensemble, training_scenes

@@ -8,7 +8,8 @@ import pytest
 import scipy.linalg as sla
 
 from cellsys.errors import CellsysError, DataError, ParameterError, RankError
-from cellsys.reduction import PCR, LeastSquares, RandomisedSVD, Ridge, fit_basis, reduce, snapshots
+from cellsys.reduction import PCR, LeastSquares, RandomisedSVD, Ridge, fit_basis, reduce
+from cellsys.samples import snapshots
 from tests import naive
 from tests.hard.stress import SEED, Case, Choice, Int, Power, hold
 from tests.population.systems import match

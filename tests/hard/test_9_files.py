@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from cellsys.errors import FileFormatError
-from cellsys.reduction import LatentModel, snapshots
+from cellsys.model import LatentModel
+from cellsys.samples import snapshots
 from cellsys.store import RunReader
 from tests import naive
 from tests.hard.damage import (

@@ -22,7 +22,7 @@ from cellsys.errors import (
     SceneError,
 )
 from cellsys.integrate import LinearlyImplicit, simulate
-from cellsys.reduction import LatentModel
+from cellsys.model import LatentModel
 from cellsys.scene import Scene, build, load_scene, run_scene, training_scenes
 from cellsys.scene.build import matrix_nodes
 from cellsys.scene.chain import METHOD, ChainScene

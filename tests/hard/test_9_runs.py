@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from cellsys.errors import FileFormatError
-from cellsys.reduction import reduce, snapshots
+from cellsys.reduction import reduce
+from cellsys.samples import snapshots
 from cellsys.scene import Scene, run_scene
 from cellsys.scene.ensemble import read_run
 from cellsys.store import RunReader, RunWriter

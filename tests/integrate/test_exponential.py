@@ -10,7 +10,7 @@ from cellsys.errors import IntegrationError, ParameterError
 from cellsys.integrate import CVODES, DOP853, Exponential, simulate
 from cellsys.integrate.semilinear import phi
 from cellsys.loop import PolarityLaw, closed_loop, loop_copies
-from cellsys.reduction import LatentModel, StiffnessSensor
+from cellsys.model import LatentModel, StiffnessSensor
 from tests.integrate.toys import scalar
 from tests.loop.systems import NAMES, heading, make
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from cellsys.loop import PolarityLaw, closed_loop
-from cellsys.reduction import LatentModel, StiffnessSensor
+from cellsys.model import LatentModel, StiffnessSensor
 from tests.reduction.systems import stable_matrix
 
 NAMES = ("cell1.cos", "cell1.sin", "cell1.cos2", "cell1.sin2")

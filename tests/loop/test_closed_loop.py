@@ -11,7 +11,7 @@ from cellsys.errors import CellsysError, DataError, DimensionError, ParameterErr
 from cellsys.integrate import CVODES
 from cellsys.loop import PolarityLaw, closed_loop
 from cellsys.loop.modal import split_slow
-from cellsys.reduction import LatentModel, StiffnessSensor
+from cellsys.model import LatentModel, StiffnessSensor
 from cellsys.response import margins
 from cellsys.response.certainty import PoleCertainty
 from tests import naive

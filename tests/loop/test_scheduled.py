@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import cellsys as cs
-from tests.reduction.equivariant.refined import reading, refined
-from tests.reduction.equivariant.runs import model
+from tests.cell.refined import reading, refined
+from tests.cell.runs import model
 
 
 def sensor(m, toward=0.5):

@@ -3,7 +3,7 @@
 import numpy as np
 import scipy.linalg as sla
 
-from cellsys.reduction import LatentModel, StiffnessSensor
+from cellsys.model import LatentModel, StiffnessSensor
 from tests.reduction.systems import stable_matrix
 
 HEADINGS = ("cell1.cos", "cell1.sin", "cell1.cos2", "cell1.sin2")

@@ -10,19 +10,19 @@ from cellsys.errors import DimensionError, ParameterError, RepresentationError
 from cellsys.loop import PolarityLaw
 from cellsys.population import Feedback, LoadPorts, Superposition, couple
 from cellsys.population.polar import frozen_port, polar_gather
-from cellsys.reduction import StiffnessSensor
-from cellsys.reduction.equivariant.charges import command_features
-from cellsys.reduction.equivariant.dynamics import CellDynamics, ChargeBlock, ReadOut
-from cellsys.reduction.equivariant.model import EquivariantModel
-from cellsys.reduction.equivariant.on_field import CellsOnField
-from cellsys.reduction.equivariant.port import PolarPort, PortSites
-from cellsys.reduction.equivariant.representation import CellRepresentation, ChargeModes
-from cellsys.reduction.equivariant.schedule import Clock
-from cellsys.reduction.equivariant.shape import ShapeBasis
-from cellsys.reduction.field import GalerkinField
+from cellsys.model import StiffnessSensor
+from cellsys.cell.charges import command_features
+from cellsys.cell.dynamics import CellDynamics, ChargeBlock, ReadOut
+from cellsys.cell.model import EquivariantModel
+from cellsys.cell.on_field import CellsOnField
+from cellsys.cell.port import PolarPort, PortSites
+from cellsys.cell.representation import CellRepresentation, ChargeModes
+from cellsys.cell.schedule import Clock
+from cellsys.cell.shape import ShapeBasis
+from cellsys.field import GalerkinField
 from cellsys.system import Layout
-from tests.reduction.equivariant.refined import reading, refined
-from tests.reduction.equivariant.runs import scene
+from tests.cell.refined import reading, refined
+from tests.cell.runs import scene
 from tests.study.scenes import TINY
 
 ORDERS = (3, 4, 2, 1, 1, 1)  # latent states of charges 0 to 5

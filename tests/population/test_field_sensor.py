@@ -10,10 +10,10 @@ import cellsys as cs
 from cellsys.errors import ParameterError
 from cellsys.population import FieldSensor, LoadPorts, couple
 from cellsys.population.field_sensor import standing_on
-from cellsys.reduction.local_sensor import LocalSensor, StiffnessMap
+from cellsys.model.network_sensor import LocalSensor, StiffnessMap
 from tests.population.test_equivariant_cells import PAIR, model
-from tests.reduction.equivariant.runs import model as trained
-from tests.reduction.equivariant.runs import scene
+from tests.cell.runs import model as trained
+from tests.cell.runs import scene
 from tests.study.scenes import TINY
 
 

@@ -20,7 +20,7 @@ from cellsys.population import (
     Superposition,
     couple,
 )
-from cellsys.reduction import LatentModel
+from cellsys.model import LatentModel
 from cellsys.response import poles, spectrum
 from tests.naive import dense_coupled_poles, kronecker_coupling
 from tests.population.systems import match, model

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cellsys as cs
-from cellsys.reduction.field import full_field
+from cellsys.field import full_field
 from tests.study.scenes import TINY
 
 

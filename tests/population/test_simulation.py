@@ -16,7 +16,7 @@ from cellsys.population import (
     Superposition,
     couple,
 )
-from cellsys.reduction import LatentModel
+from cellsys.model import LatentModel
 from tests.naive import kronecker_coupling
 from tests.population.systems import match, model
 

@@ -4,7 +4,7 @@ import numpy as np
 import scipy.linalg as sla
 import scipy.sparse as sp
 
-from cellsys.reduction import RunData, Snapshots
+from cellsys.samples import RunData, Snapshots
 from cellsys.system import Block, Layout
 
 

@@ -9,15 +9,8 @@ import scipy.linalg as sla
 import scipy.sparse as sp
 
 from cellsys.errors import ParameterError, RankError
-from cellsys.reduction import (
-    PCR,
-    ExactSVD,
-    LeastSquares,
-    RandomisedSVD,
-    fit_basis,
-    reduce,
-    snapshots,
-)
+from cellsys.reduction import PCR, ExactSVD, LeastSquares, RandomisedSVD, fit_basis, reduce
+from cellsys.samples import snapshots
 from cellsys.reduction.basis import latent_samples, moments
 from tests.reduction.systems import linear_runs, one_step_data, stable_matrix, state_data
 
@@ -64,7 +57,7 @@ def test_blocks_of_rows_do_not_matter(method, rows, monkeypatch):
     data = one_step_data(T=150)
     model = PCR(svd=method).fit(data, 5)
     Z = latent_samples(data, fit_basis(data, 5, method=method))
-    monkeypatch.setattr(sys.modules["cellsys.reduction.snapshots"], "ROWS", rows)
+    monkeypatch.setattr(sys.modules["cellsys.samples.snapshots"], "ROWS", rows)
     again = PCR(svd=method).fit(data, 5)
     # sums in another order: rounding, amplified by the regression
     assert np.abs(again.singular_values / model.singular_values - 1).max() < 1e-11

@@ -6,8 +6,9 @@ import pytest
 
 import cellsys as cs
 from cellsys.errors import ParameterError, RankError
-from cellsys.reduction import PCR, Contractive, LatentModel, LeastSquares, Ridge, reduce
-from cellsys.reduction.card import BASELINES
+from cellsys.model import LatentModel
+from cellsys.reduction import PCR, Contractive, LeastSquares, Ridge, reduce
+from cellsys.model.card import BASELINES
 from cellsys.reduction.comparison import compare_reductors
 from tests.reduction.systems import spreading_data
 

@@ -13,16 +13,10 @@ from cellsys.errors import (
     RankError,
 )
 from cellsys.integrate import CVODES, simulate
-from cellsys.reduction import (
-    PCR,
-    LatentModel,
-    LeastSquares,
-    RunData,
-    reduce,
-    reduce_orders,
-    snapshots,
-)
-from cellsys.reduction.assessment import predict_samples
+from cellsys.model import LatentModel
+from cellsys.reduction import PCR, LeastSquares, reduce, reduce_orders
+from cellsys.samples import RunData, snapshots
+from cellsys.worth.assessment import predict_samples
 from cellsys.reduction.basis import fit_basis
 from cellsys.reduction.regression import regress
 from cellsys.system import OdeSystem
@@ -366,7 +360,7 @@ def test_a_coarse_model_is_rolled_out_between_its_steps():
 
 def test_recorded_headings_too_large_to_be_squared_are_refused():
     """Found by the fuzz of run files: a heading of 1e200 overflowed instead."""
-    from cellsys.reduction.commands import command_features
+    from cellsys.samples.commands import command_features
 
     p = np.array([[[1.0, 0.0, 0.0]], [[1e200, 0.0, 0.0]]])
     with pytest.raises(DataError, match="polarity of a run"):

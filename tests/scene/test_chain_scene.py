@@ -17,7 +17,7 @@ from cellsys.integrate import LSODA, Radau
 from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.crawler import Crawler, build_crawlers
 from cellsys.mechanics.geometry.chain import Chain
-from cellsys.reduction import snapshots
+from cellsys.samples import snapshots
 from cellsys.scene import CellScene, ChainScene, Scene, build, run_ensemble, run_scene
 from cellsys.scene.ensemble import read_run
 from cellsys.scene.listing import scene_table

@@ -22,7 +22,7 @@ from cellsys.study import cells as _cells  # noqa: F401  loaded, so that it can 
 from cellsys.study.leave_one_out import leave_one_out
 from cellsys.system import Block, Layout
 from cellsys.trajectory import ErrorEstimate, Trajectory
-from tests.reduction.equivariant.runs import model as trained
+from tests.cell.runs import model as trained
 from tests.study.scenes import TINY, tiny
 
 PAIR = (

@@ -1,0 +1,159 @@
+"""Files of equivariant models: arrays, names and card in one npz; never pickle."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellsys.errors import FileFormatError
+from cellsys.cell.dynamics import CellDynamics, ChargeBlock, ReadOut
+from cellsys.cell.forecast import KINDS, ErrorBands, ValidityMonitor
+from cellsys.cell.port import PolarPort, PortSites
+from cellsys.cell.representation import CHARGES, CellRepresentation, ChargeModes
+from cellsys.cell.schedule import Clock
+from cellsys.cell.shape import ShapeBasis
+from cellsys.model.network_sensor import sensor_from
+from cellsys.model.file import EQUIVARIANT, card_from, layout_from, layout_table
+from cellsys.store.archive import load_archive, save_archive
+
+VERSION = 2
+
+
+def write_parts(model: Any, path: str | Path) -> Path:
+    """Write an `EquivariantModel`, atomically."""
+    dynamics, shape = model.dynamics, model.representation.shape
+    arrays = {
+        "material": shape.material,
+        "site nodes": model.sites.nodes,
+        "site place": model.sites.place,
+        "site area": model.sites.area,
+    }
+    for q, block in enumerate(dynamics.blocks):
+        arrays |= {
+            f"A {q}": block.A,
+            f"B {q}": block.B,
+            f"C {q}": block.C,
+            f"gamma {q}": np.array(block.gamma),
+            f"decoder {q}": model.modes.decoder[q],
+            f"encoder {q}": model.modes.encoder[q],
+            f"variance {q}": model.modes.variance[q],
+        }
+    for name in ("alone", "riding"):
+        read = getattr(dynamics, name)
+        arrays |= {f"{name} {k}": getattr(read, k) for k in ("R_z", "R_u", "R_y")}
+    if model.z_start is not None:
+        arrays["z_start"] = model.z_start
+    if model.refits is not None:
+        arrays["refits"] = model.refits
+    if model.bands is not None:
+        arrays |= {f"band {k}": v for k, v in model.bands.width.items()}
+        arrays["band times"] = model.bands.t
+    if model.sensor is not None:
+        arrays |= {f"sensor {k}": v for k, v in model.sensor.arrays().items()}
+    port = model.representation.port
+    metadata = {
+        "degree": shape.degree,
+        "radius": shape.radius,
+        "port": [port.reach, port.spacing, port.orders],
+        "start_height": model.representation.start_height,
+        "load_weight": model.representation.load_weight,
+        "tail": {str(q): v for q, v in model.modes.tail.items()},
+        "clock": [dynamics.clock.tau, dynamics.clock.vertices],
+        "dt": dynamics.dt,
+        "states": layout_table(model.states),
+        "auxiliaries": layout_table(model.auxiliaries),
+        "cell": model.cell,
+        "horizon": model.horizon,
+        "card": None if model.card is None else model.card.table(),
+        "notes": dict(model.notes),
+        "bands": None
+        if model.bands is None
+        else [list(model.bands.levels), model.bands.folds, model.bands.runs],
+        "monitor": None if model.monitor is None else asdict(model.monitor),
+        "left_out": model.left_out,
+    }
+    return save_archive(path, EQUIVARIANT, VERSION, arrays, metadata)
+
+
+def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
+    """Arguments of an `EquivariantModel` from a file.
+
+    Raises
+    ------
+    FileNotFoundError, FileFormatError
+    """
+    arrays, meta = load_archive(path, EQUIVARIANT, VERSION)
+    for name, value in arrays.items():
+        if name.startswith("sensor "):
+            continue  # its errors are NaN where they were not measured; it checks itself
+        if value.dtype.kind not in "fiu" or not np.all(np.isfinite(value)):
+            raise FileFormatError(f"{Path(path).name!r} is damaged: {name!r} is not finite numbers")
+    try:
+        blocks = tuple(
+            ChargeBlock(
+                arrays[f"A {q}"],
+                arrays[f"B {q}"],
+                float(arrays[f"gamma {q}"]),
+                arrays[f"C {q}"],
+            )
+            for q in CHARGES
+        )
+        reads = [
+            ReadOut(*(arrays[f"{name} {k}"] for k in ("R_z", "R_u", "R_y")))
+            for name in ("alone", "riding")
+        ]
+        tau, vertices = meta["clock"]
+        dynamics = CellDynamics(blocks, Clock(tau, vertices), float(meta["dt"]), *reads)
+        reach, spacing, orders = meta["port"]
+        representation = CellRepresentation(
+            ShapeBasis(arrays["material"], meta["radius"], meta["degree"]),
+            PolarPort(reach, spacing, orders),
+            meta["start_height"],
+            meta["load_weight"],
+        )
+        modes = ChargeModes(
+            *({q: arrays[f"{k} {q}"] for q in CHARGES} for k in ("decoder", "encoder", "variance")),
+            {int(q): v for q, v in meta["tail"].items()},
+        )
+        sites = PortSites(arrays["site nodes"], arrays["site place"], arrays["site area"])
+        sensor = {k[7:]: v for k, v in arrays.items() if k.startswith("sensor ")}
+        args = (
+            dynamics,
+            representation,
+            modes,
+            sites,
+            layout_from(meta["states"]),
+            layout_from(meta["auxiliaries"]),
+        )
+        keywords = {
+            "cell": meta["cell"],
+            "horizon": meta["horizon"],
+            "z_start": arrays.get("z_start"),
+            "sensor": sensor_from(sensor) if sensor else None,
+            "card": card_from(meta["card"]),
+            "notes": meta["notes"],
+            "bands": _bands(arrays, meta["bands"]),
+            "monitor": _monitor(meta["monitor"]),
+            "refits": arrays.get("refits"),
+            "left_out": str(meta.get("left_out", "run")),
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
+    return args, keywords
+
+
+def _bands(arrays: dict[str, np.ndarray], meta: list | None) -> ErrorBands | None:
+    if meta is None:
+        return None
+    levels, folds, runs = meta
+    width = {kind: arrays[f"band {kind}"] for kind in KINDS}
+    return ErrorBands(arrays["band times"], tuple(levels), width, folds, runs)
+
+
+def _monitor(meta: dict[str, Any] | None) -> ValidityMonitor | None:
+    if meta is None:
+        return None
+    return ValidityMonitor(**(meta | {k: tuple(meta[k]) for k in ("amplitude", "latent")}))

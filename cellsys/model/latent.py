@@ -1,0 +1,392 @@
+"""`LatentModel`: a reduced affine model z' = A z + B c + b with its basis and its card."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.linalg as sla
+
+from cellsys.arguments import checked
+from cellsys.drawable import Drawable
+from cellsys.errors import (
+    DataError,
+    DimensionError,
+    FileFormatError,
+    ParameterError,
+    RepresentationError,
+)
+from cellsys.model.card import Card
+from cellsys.model.file import ARRAYS, is_equivariant, load_model, save_model
+from cellsys.model.poles import certainty_of, continuous_poles, pole_set
+from cellsys.model.sensor import StiffnessSensor
+from cellsys.model.hold import check_roll_out, hold, roll, to_continuous
+from cellsys.model.trained_range import Flag, TrainedRange
+from cellsys.response.certainty import PoleCertainty
+from cellsys.response.roots import RootSet
+from cellsys.system import Layout
+from cellsys.units import real_array, real_number
+
+
+def _row_indices(name: str, rows: Sequence[int]) -> np.ndarray:
+    found = np.asarray(list(rows))
+    if found.size and (found.ndim != 1 or found.dtype.kind not in "iu"):
+        raise DataError(f"blocks[{name!r}] must list whole row numbers, got {found.dtype}")
+    return found.astype(int)
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class LatentModel(Drawable):
+    """A reduced model, continuous or the generator of a step.
+
+        dt is None :  z' = A z + B c + b
+        dt given   :  z+ = z + dt (A z + B c + b)          [thesis eq. 24]
+
+    with z = V^T S^-1 (x~ - mean) and x~ = [x; eta] ~ mean + S V z [notes: theory, regression].
+
+    Parameters
+    ----------
+    A : (m, m), 1/s
+    B : (m, n_c), optional
+        Input map of the commands c.
+    offset : (m,), optional
+        b, 1/s.
+    V : (n + n_eta, m), optional
+        Orthonormal basis; rows of the states first.
+    mean, scale : (n + n_eta,), optional
+        Centre and scale factors; a scale of 0 marks a dropped column.
+    singular_values : (m,), optional
+    dt : float, optional
+        Step of a step model, s.
+    n_states : int, optional
+        n; the remaining rows of V belong to eta.
+    blocks : mapping of str to indices, optional
+        Rows of V by role: ``component`` (cells) and ``field`` (matrix).
+    states, auxiliaries : Layout, optional
+        Names of the rows of V.
+    input_names : sequence of str, optional
+    z_start : (m,), optional
+        Latent state at the start of the training runs (their mean).
+    sensor : StiffnessSensor, optional
+    card : Card, optional
+        What the model is worth; see `cellsys.model.card`.
+    refits : (k, m, m), optional
+        A of the same model learned without a part of the data, 1/s; `left_out` says what a part
+        is ("run", "group of runs", "stretch"). See `certainty`.
+
+    Raises
+    ------
+    DataError, DimensionError
+        NaN or inf, or arrays that do not fit together.
+    """
+
+    A: np.ndarray
+    B: np.ndarray | None = None
+    offset: np.ndarray | None = None
+    V: np.ndarray | None = None
+    mean: np.ndarray | None = None
+    scale: np.ndarray | None = None
+    singular_values: np.ndarray | None = None
+    dt: float | None = None
+    n_states: int | None = None
+    blocks: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    states: Layout | None = None
+    auxiliaries: Layout | None = None
+    input_names: tuple[str, ...] | None = None
+    z_start: np.ndarray | None = None
+    sensor: StiffnessSensor | None = None
+    card: Card | None = None
+    notes: Mapping[str, Any] = field(default_factory=dict)
+    refits: np.ndarray | None = None
+    left_out: str = "run"
+
+    _figure: ClassVar[str] = "latent_model"
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        given = vars(self)  # a kind of model that has no basis refuses to be asked for V
+        for name in ARRAYS:
+            if given.get(name) is not None or name == "A":
+                put(name, real_array(given.get(name), name).copy())
+        A = np.atleast_2d(self.A)
+        m = A.shape[0]
+        if A.shape != (m, m) or m == 0:
+            raise DimensionError(f"A must be square and not empty, got {A.shape}")
+        put("A", A)
+        B = np.zeros((m, 0)) if self.B is None else self.B
+        put("B", B.reshape(m, -1) if B.ndim < 2 and B.size % m == 0 else B)
+        put("offset", np.zeros(m) if self.offset is None else self.offset)
+        V = given.get("V")
+        if V is not None and V.ndim != 2:
+            raise DimensionError(f"V must be a matrix, got shape {V.shape}")
+        if V is not None:
+            rows = len(V)
+            put("mean", np.zeros(rows) if self.mean is None else self.mean)
+            put("scale", np.ones(rows) if self.scale is None else self.scale)
+            put("n_states", rows if self.n_states is None else int(self.n_states))
+        shapes = {
+            "B": (self.B.shape, (m, *self.B.shape[-1:])),
+            "offset": (self.offset.shape, (m,)),
+        }
+        if self.z_start is not None:
+            shapes["z_start"] = (self.z_start.shape, (m,))
+        if self.refits is not None:
+            shapes["refits"] = (self.refits.shape, (*self.refits.shape[:1], m, m))
+        if V is not None:
+            rows = len(V)
+            shapes |= {
+                "V": (V.shape, (rows, m)),
+                "mean": (self.mean.shape, (rows,)),
+                "scale": (self.scale.shape, (rows,)),
+            }
+            if np.any(self.scale < 0):
+                raise DataError("scale holds a negative factor; 0 marks a dropped column")
+            if not 0 <= self.n_states <= rows:
+                raise DimensionError(f"n_states must be between 0 and {rows}, got {self.n_states}")
+        for name, (got, expected) in shapes.items():
+            if got != expected:
+                raise DimensionError(f"{name} must have shape {expected}, got {got}")
+        for name in ARRAYS:
+            value = given.get(name)
+            if value is None:
+                continue
+            if not np.all(np.isfinite(value)):
+                raise DataError(f"{name} holds NaN or inf; a model cannot be made from it")
+            # A may hold any rate: its growth is what a roll-out is refused for.
+            if name not in ("A", "refits") and np.abs(value).max(initial=0.0) > 1e150:
+                raise DataError(
+                    f"{name} holds {np.abs(value).max():.3g}, beyond 1e150: its squares are no "
+                    "doubles; take other units"
+                )
+            value.setflags(write=False)
+        if self.dt is not None and not real_number(self.dt, "dt") > 0:
+            raise ParameterError(
+                f"dt must be > 0 s (or None for a continuous model), got {self.dt!r}"
+            )
+        names = self.input_names
+        if names is None:
+            names = tuple(f"c[{i}]" for i in range(self.B.shape[1]))
+        if len(names) != self.B.shape[1]:
+            raise DimensionError(f"{len(names)} input names for {self.B.shape[1]} inputs")
+        put("input_names", tuple(names))
+        put("blocks", {k: _row_indices(k, v) for k, v in dict(self.blocks).items()})
+        for name, rows_of in self.blocks.items():
+            if V is None or np.any(rows_of < 0) or np.any(rows_of >= len(V)):
+                raise DimensionError(f"block {name!r} names rows that V does not have")
+
+    # Shape and parts
+
+    @property
+    def order(self) -> int:
+        """m."""
+        return self.A.shape[0]
+
+    def _basis(self, name: str) -> np.ndarray:
+        if self.V is None:
+            raise RepresentationError(
+                f"this model was given without a basis, so it has no {name}; pass V=..."
+            )
+        return self.V
+
+    @property
+    def V_x(self) -> np.ndarray:
+        """Rows of V that belong to the states (n, m)."""
+        return self._basis("V_x")[: self.n_states]
+
+    @property
+    def V_eta(self) -> np.ndarray:
+        """Rows of V that belong to the auxiliaries (n_eta, m)."""
+        return self._basis("V_eta")[self.n_states :]
+
+    # Coordinates
+
+    def encode(self, x: np.ndarray, eta: np.ndarray | None = None) -> np.ndarray:
+        """z of one sample (n,) or of many (T, n).
+
+        With `eta` the projection V^T S^-1 (x~ - mean). Without, the least-squares z that
+        reproduces x (minimum norm; directions below 1e-8 of the largest are left at zero).
+        """
+        V = self._basis("encode")
+        n = self.n_states
+        x = np.asarray(x, dtype=float)
+        if x.shape[-1] != n:
+            raise DimensionError(f"x must have {n} entries, got {x.shape[-1]}")
+        inverse = np.divide(1.0, self.scale, out=np.zeros_like(self.scale), where=self.scale > 0)
+        centred = (x - self.mean[:n]) * inverse[:n]
+        if eta is None:
+            if n == len(V):
+                return centred @ V
+            flat = np.atleast_2d(centred)
+            z = sla.lstsq(V[:n], flat.T, cond=1e-8)[0].T
+            return z.reshape(*x.shape[:-1], self.order)
+        eta = np.asarray(eta, dtype=float)
+        if eta.shape[-1] != len(V) - n:
+            raise DimensionError(f"eta must have {len(V) - n} entries, got {eta.shape[-1]}")
+        return centred @ V[:n] + ((eta - self.mean[n:]) * inverse[n:]) @ V[n:]
+
+    def reconstruct(self, z: np.ndarray) -> np.ndarray:
+        """x (n,) or (T, n) from z (m,) or (T, m)."""
+        n = self.n_states
+        V = self._basis("reconstruct")
+        return self.mean[:n] + (np.asarray(z) @ V[:n].T) * self.scale[:n]
+
+    def reconstruct_eta(self, z: np.ndarray) -> np.ndarray:
+        """eta (n_eta,) or (T, n_eta) from z."""
+        n = self.n_states
+        V = self._basis("reconstruct_eta")
+        return self.mean[n:] + (np.asarray(z) @ V[n:].T) * self.scale[n:]
+
+    # Dynamics
+
+    def step_matrices(self, dt: float | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(A_d, B_d, b_d) of z+ = A_d z + B_d c + b_d over one step of dt seconds.
+
+        A step model has only its own step; a continuous model takes any (zero-order hold).
+        """
+        if self.dt is not None:
+            if dt is not None and abs(dt - self.dt) > 1e-9 * self.dt:
+                raise ParameterError(f"this model has a step of {self.dt:g} s, not {dt:g} s")
+            return np.eye(self.order) + self.dt * self.A, self.dt * self.B, self.dt * self.offset
+        if dt is None:
+            raise ParameterError("a continuous model needs dt for its step matrices")
+        return hold(self.A, self.B, self.offset, dt)
+
+    def continuous_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(A_c, B_c, b_c) of z' = A_c z + B_c c + b_c.
+
+        A step model is inverted under zero-order hold, log [[I + dt A, dt B, dt b], [0, I]] / dt,
+        which is refused where I + dt A has an eigenvalue on the closed negative real axis: no
+        real continuous model steps like that.
+        """
+        if self.dt is None:
+            return self.A, self.B, self.offset
+        return to_continuous(self.A, self.B, self.offset, self.dt)
+
+    def poles(self) -> np.ndarray:
+        """Continuous poles (m,), 1/s: eig(A), or log(eig(I + dt A))/dt of a step model."""
+        return continuous_poles(self.A, self.dt)
+
+    def growth(self) -> float:
+        """Spectral abscissa, 1/s: largest real part of the continuous poles."""
+        return float(self.poles().real.max())
+
+    def certainty(self, *, discrete: bool = False) -> PoleCertainty | None:
+        """How far each pole moves when a part of the data is left out; None where not known.
+
+        Of the continuous poles, 1/s, or (`discrete`) of those of `plant(discrete=True)`.
+        """
+        if self.refits is None:
+            return None
+        return certainty_of(self.A, self.dt, self.refits, self.left_out, discrete=discrete)
+
+    def pole_set(self) -> RootSet:
+        """The poles, 1/s, each with a bound: the larger of rounding and `certainty`."""
+        return pole_set(self.A, self.dt, self.certainty())
+
+    def predict(self, z0: np.ndarray, u: np.ndarray | None, t: np.ndarray) -> np.ndarray:
+        """Roll the model out from z0 (m,) at the times t (T,); returns z (T, m).
+
+        Parameters
+        ----------
+        u : array (T - 1, n_c) or (n_c,) or None
+            Commands, held over each interval; None for zero.
+        t : array (T,)
+            s. For a step model on its grid, otherwise refused.
+
+        Raises
+        ------
+        IntegrationError
+            When the model grows beyond 1e150 times its start: time, norm and rate are given.
+        """
+        z0, t, c, repeats = check_roll_out(self.order, self.B.shape[1], self.dt, z0, u, t)
+        matrices = (lambda dt: self.step_matrices()) if self.dt is not None else self.step_matrices
+        return roll(z0, c, t, repeats, matrices, self.growth)
+
+    def flags(self, t: np.ndarray, z: np.ndarray, u: np.ndarray | None = None) -> list[Flag]:
+        """Where a roll-out of `predict` leaves what the model was trained on, in order of time.
+
+        Inputs, latent states and time of the run, each against its trained range and a tenth of
+        it; `DataError` for a model that was not made by `reduce`. See `TrainedRange`.
+        """
+        return TrainedRange.kept(self).check(t, z, u, self.input_names)
+
+    # Control
+
+    def plant(
+        self,
+        *,
+        discrete: bool = False,
+        output: np.ndarray | None = None,
+        output_names: Sequence[str] | None = None,
+    ) -> Any:
+        """The model as `control.StateSpace` with named states, inputs and outputs.
+
+        Parameters
+        ----------
+        discrete : bool
+            Keep a step model's own step; by default it is made continuous (dt = 0), see
+            `continuous_matrices`.
+        output : (p, m), optional
+            Output matrix; default the latent states themselves.
+        """
+        import control
+
+        if discrete and self.dt is None:
+            raise ParameterError("a continuous model has no step of its own; use control.c2d")
+        if discrete:
+            A, B, _ = self.step_matrices()
+        else:
+            A, B, _ = self.continuous_matrices()
+        C = np.eye(self.order) if output is None else np.atleast_2d(np.asarray(output, float))
+        if C.shape[1] != self.order:
+            raise DimensionError(f"output must have {self.order} columns, got {C.shape}")
+        states = [f"z[{i}]" for i in range(self.order)]
+        if output_names is not None:
+            outputs = list(output_names)
+        else:
+            outputs = states if output is None else [f"y[{i}]" for i in range(len(C))]
+        return control.ss(
+            A,
+            B,
+            C,
+            np.zeros((len(C), B.shape[1])),
+            self.dt if discrete else 0,
+            states=states,
+            # control does not allow dots in signal names
+            inputs=[n.replace(".", "_") for n in self.input_names],
+            outputs=outputs,
+            name=f"plant_m{self.order}",
+        )
+
+    # Files
+
+    def save(self, path: str | Path) -> Path:
+        """Write arrays, names and card to an npz (schema version 1), atomically; never pickle."""
+        return save_model(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> LatentModel:
+        """Read back a saved model of any kind; FileFormatError for anything else."""
+        from cellsys.cell.model import EquivariantModel
+
+        if cls is LatentModel and is_equivariant(path):
+            return EquivariantModel.load(path)
+        values, sensor = load_model(path)
+        try:
+            return cls(**values, sensor=None if sensor is None else StiffnessSensor(**sensor))
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
+
+    def __str__(self) -> str:
+        kind = "continuous" if self.dt is None else f"step of {self.dt:g} s"
+        head = (
+            f"LatentModel: order {self.order}, {kind}, {len(self.input_names)} inputs, "
+            f"spectral abscissa {self.growth():.3g} 1/s"
+        )
+        return head if self.card is None else f"{head}\n{self.card}"

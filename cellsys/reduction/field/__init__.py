@@ -1,7 +1,0 @@
-"""The matrix as its own system: Galerkin field on load-response modes, and the full one."""
-
-from cellsys.reduction.field.galerkin import GalerkinField
-from cellsys.reduction.field.implicit import FullField, full_field
-from cellsys.reduction.field.ports import FieldPassivity
-
-__all__ = ["FieldPassivity", "FullField", "GalerkinField", "full_field"]
