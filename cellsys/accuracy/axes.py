@@ -20,6 +20,7 @@ from cellsys.errors import DataError, ParameterError
 from cellsys.integrate import DOP853, LinearlyImplicit, simulate
 from cellsys.integrate.simulate import check_times
 from cellsys.kinds import Count, Seed
+from cellsys.model import LatentModel
 from cellsys.population import (
     Feedback,
     InteractionGraph,
@@ -27,7 +28,6 @@ from cellsys.population import (
     Superposition,
     couple,
 )
-from cellsys.model import LatentModel
 from cellsys.reduction import compare_reductors, learning_curve
 from cellsys.samples import Snapshots
 from cellsys.scene import Scene, build

@@ -30,13 +30,13 @@ from cellsys.accuracy.starts import (
 )
 from cellsys.accuracy.work_precision import WorkPrecision, work_precision
 from cellsys.arguments import checked
+from cellsys.cell import EquivariantModel
 from cellsys.contracts import Integrator
 from cellsys.errors import CellsysError, DataError, IntegrationError, ParameterError
 from cellsys.integrate import CVODES, DOP853, LSODA, Exponential
 from cellsys.integrate.simulate import check_times
 from cellsys.kinds import Seed
 from cellsys.loop import ClosedLoop, ScheduledLoop, closed_loop
-from cellsys.cell import EquivariantModel
 from cellsys.model import LatentModel
 from cellsys.scene import Scene
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from cellsys.accuracy.axes import CostAxis, CostRow
 from cellsys.arguments import checked
+from cellsys.cell import CellsOnField, EquivariantModel
 from cellsys.contracts import MatrixField
 from cellsys.errors import ParameterError
-from cellsys.cell import CellsOnField, EquivariantModel
 from cellsys.scene import Scene
 from cellsys.trajectory import Trajectory
 

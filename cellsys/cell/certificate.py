@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from cellsys.model.card import Card, verdict
 from cellsys.cell.model import EquivariantModel
 from cellsys.cell.records import CellRecord, stride
 from cellsys.cell.worth import (
@@ -15,10 +14,11 @@ from cellsys.cell.worth import (
     measure,
     representation_error,
 )
+from cellsys.model.card import Card, verdict
 from cellsys.model.network_sensor import StiffnessMap, fit_local_sensor, nodal_moments
 from cellsys.model.poles import fastest_growth
-from cellsys.samples.provenance import constant_commands, data_hash, repeated_runs, repeats
 from cellsys.model.sensor import StiffnessSensor, fit_sensor
+from cellsys.samples.provenance import constant_commands, data_hash, repeated_runs, repeats
 from cellsys.samples.snapshots import Snapshots
 
 

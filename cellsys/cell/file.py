@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from cellsys.errors import FileFormatError
 from cellsys.cell.dynamics import CellDynamics, ChargeBlock, ReadOut
 from cellsys.cell.forecast import KINDS, ErrorBands, ValidityMonitor
 from cellsys.cell.port import PolarPort, PortSites
 from cellsys.cell.representation import CHARGES, CellRepresentation, ChargeModes
 from cellsys.cell.schedule import Clock
 from cellsys.cell.shape import ShapeBasis
-from cellsys.model.network_sensor import sensor_from
+from cellsys.errors import FileFormatError
 from cellsys.model.file import EQUIVARIANT, card_from, layout_from, layout_table
+from cellsys.model.network_sensor import sensor_from
 from cellsys.store.archive import load_archive, save_archive
 
 VERSION = 2

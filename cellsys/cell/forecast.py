@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.drawable import Drawable
-from cellsys.errors import DataError, ParameterError
 from cellsys.cell.dynamics import CellDynamics
 from cellsys.cell.records import CellRecord
+from cellsys.drawable import Drawable
+from cellsys.errors import DataError, ParameterError
 from cellsys.model.trained_range import Flag, beginnings
 from cellsys.system import Event
 

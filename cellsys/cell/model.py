@@ -11,18 +11,18 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.arguments import checked
-from cellsys.errors import DataError, DimensionError, FileFormatError, RepresentationError
-from cellsys.model.card import Card
 from cellsys.cell.charges import harmonic_names
 from cellsys.cell.dynamics import CellDynamics, CellState
 from cellsys.cell.file import read_parts, write_parts
 from cellsys.cell.forecast import ErrorBands, Forecast, ValidityMonitor
 from cellsys.cell.port import PortSites
 from cellsys.cell.representation import CellRepresentation, ChargeModes
-from cellsys.model.network_sensor import LocalSensor
-from cellsys.model.latent import LatentModel
-from cellsys.model.sensor import StiffnessSensor
+from cellsys.errors import DataError, DimensionError, FileFormatError, RepresentationError
+from cellsys.model.card import Card
 from cellsys.model.hold import check_roll_out
+from cellsys.model.latent import LatentModel
+from cellsys.model.network_sensor import LocalSensor
+from cellsys.model.sensor import StiffnessSensor
 from cellsys.system import Layout
 
 
@@ -369,7 +369,7 @@ class EquivariantModel(LatentModel):
         return write_parts(self, path)
 
     @classmethod
-    def load(cls, path: str | Path) -> EquivariantModel:
+    def read(cls, path: str | Path) -> EquivariantModel:
         """Read back; the contraction certificate is checked again.
 
         Raises

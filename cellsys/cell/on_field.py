@@ -20,12 +20,12 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.arguments import checked
-from cellsys.contracts import SteppedField
-from cellsys.errors import DataError, DimensionError, IntegrationError
-from cellsys.kinds import Count
 from cellsys.cell.dynamics import CellState
 from cellsys.cell.model import EquivariantModel
 from cellsys.cell.port import Footprint, PortSites
+from cellsys.contracts import SteppedField
+from cellsys.errors import DataError, DimensionError, IntegrationError
+from cellsys.kinds import Count
 
 
 @dataclass(frozen=True, eq=False)

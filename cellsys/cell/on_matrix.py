@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import MatrixField
-from cellsys.errors import DataError
 from cellsys.cell.model import EquivariantModel
 from cellsys.cell.on_field import CellsOnField
 from cellsys.cell.records import CellRecord, read_records, stride
+from cellsys.contracts import MatrixField
+from cellsys.errors import DataError
 from cellsys.samples.snapshots import Snapshots
 
 

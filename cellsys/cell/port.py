@@ -14,8 +14,8 @@ import scipy.linalg as sla
 from scipy.spatial import cKDTree
 
 from cellsys.arguments import checked
-from cellsys.errors import DimensionError, ParameterError
 from cellsys.cell.charges import TOP, pack, unpack
+from cellsys.errors import DimensionError, ParameterError
 
 REACH = 18.0  # um
 SPACING = 2.0  # um between hats

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellsys.errors import DataError, ParameterError
 from cellsys.cell.port import Footprint, PolarPort, PortSites
+from cellsys.errors import DataError, ParameterError
 from cellsys.samples.snapshots import RunData, Snapshots
 from cellsys.trajectory import cell_names
 

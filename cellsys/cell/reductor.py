@@ -11,7 +11,6 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.arguments import checked
-from cellsys.errors import DataError, ParameterError
 from cellsys.cell.certificate import card_of, sensor_of
 from cellsys.cell.charges import N_FEATURES, command_features
 from cellsys.cell.dynamics import CellDynamics, ChargeBlock, ReadOut
@@ -37,6 +36,7 @@ from cellsys.cell.training import (
     train,
 )
 from cellsys.cell.worth import roll_record
+from cellsys.errors import DataError, ParameterError
 from cellsys.model.sensor import ridge_weights
 from cellsys.samples.snapshots import Snapshots
 from cellsys.trajectory import cell_names

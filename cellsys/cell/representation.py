@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.linalg as sla
 
-from cellsys.errors import ParameterError, RankError
 from cellsys.cell.charges import TOP, pack, unpack
 from cellsys.cell.port import PolarPort
 from cellsys.cell.shape import ShapeBasis
+from cellsys.errors import ParameterError, RankError
 
 CHARGES = range(TOP + 1)
 _NORM = np.sqrt(4.0 * np.pi)  # coefficients of harmonics to rms over the sphere

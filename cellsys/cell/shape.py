@@ -9,8 +9,8 @@ import numpy as np
 import scipy.linalg as sla
 from scipy.special import gammaln, lpmv
 
-from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.cell.charges import TOP
+from cellsys.errors import DataError, DimensionError, ParameterError
 
 
 def harmonics(material: np.ndarray, degree: int, m: int) -> np.ndarray:

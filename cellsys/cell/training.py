@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg as sla
 
-from cellsys.errors import ParameterError
 from cellsys.cell.training_kernels import backward, forward
+from cellsys.errors import ParameterError
 
 SPREAD = 10.0  # greatest stretch of the learned norm against the whitened one
 

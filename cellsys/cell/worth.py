@@ -16,12 +16,12 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.arguments import checked
-from cellsys.errors import DataError
-from cellsys.model.card import resolution
 from cellsys.cell.charges import turn
 from cellsys.cell.model import EquivariantModel
 from cellsys.cell.records import CellRecord
 from cellsys.cell.representation import CHARGES
+from cellsys.errors import DataError
+from cellsys.model.card import resolution
 from cellsys.worth.errors import mse, relative, root_mean_square
 
 Path = tuple[np.ndarray, "list[dict[int, np.ndarray]] | None"]

@@ -27,11 +27,11 @@ def reduce(
     as_json: Json = False,
 ) -> None:
     """Learn a reduced model from runs."""
-    from cellsys.errors import ParameterError
     from cellsys.cell import Equivariant
+    from cellsys.errors import ParameterError
     from cellsys.reduction import PCR, Contractive, LeastSquares
-    from cellsys.samples import snapshots
     from cellsys.reduction import reduce as learn
+    from cellsys.samples import snapshots
     from cellsys.scene.ensemble import read_run
 
     known = (PCR, LeastSquares, Contractive, Equivariant)
@@ -132,9 +132,9 @@ def _bode_along(
     model: LatentModel, at: str, horizon: float, out: Path | None, as_json: bool
 ) -> None:
     """Margins and Bode plot of a scheduled loop frozen at several times."""
+    from cellsys.cell import EquivariantModel
     from cellsys.errors import ParameterError
     from cellsys.loop import closed_loop
-    from cellsys.cell import EquivariantModel
 
     if not isinstance(model, EquivariantModel):
         raise ParameterError("--at is for a scheduled model; this one is the same at all times")

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from cellsys.errors import DataError, DimensionError, IntegrationError, ParameterError
-from cellsys.integrate.estimate import EULER, estimate_by
 from cellsys.field.descent import StepInfo, StepMemory, StepProblem, implicit_step
 from cellsys.field.elasticity import MatrixEnergy
 from cellsys.field.linear import LinearisedField
+from cellsys.integrate.estimate import EULER, estimate_by
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 

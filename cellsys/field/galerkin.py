@@ -11,11 +11,11 @@ import scipy.linalg as sla
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.kinds import Seed
-from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.field.elasticity import MatrixEnergy
 from cellsys.field.field import MatrixField
 from cellsys.field.modes import response_modes
+from cellsys.kinds import Seed
+from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.trajectory import Trajectory
 from cellsys.units import real_array
 

@@ -11,10 +11,10 @@ import scipy.sparse as sp
 
 from cellsys.arguments import checked
 from cellsys.errors import DimensionError
-from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.field.elasticity import MatrixEnergy
 from cellsys.field.field import MatrixField
 from cellsys.field.modes import symmetric_factor
+from cellsys.mechanics.spreading import SpreadingSystem
 
 
 @checked

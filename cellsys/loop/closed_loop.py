@@ -35,9 +35,9 @@ from cellsys.laws.polarity import heading_features
 from cellsys.loop.loop_system import ClosedLoopSystem, model_error, semilinear_of
 from cellsys.loop.modal import set_apart_text, split_slow
 from cellsys.loop.polarity import PolarityLaw
-from cellsys.samples.commands import harmonic
 from cellsys.model.latent import LatentModel
 from cellsys.model.sensor import StiffnessSensor
+from cellsys.samples.commands import harmonic
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 from cellsys.units import real_array

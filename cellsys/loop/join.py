@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.arguments import checked
+from cellsys.cell.model import EquivariantModel
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.integrate.sensitivities import ParametricSystem
 from cellsys.laws.arrays import operations
@@ -16,10 +17,9 @@ from cellsys.loop.closed_loop import ClosedLoop, check_point
 from cellsys.loop.loop_system import LoopCopies
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.loop.scheduled import ScheduledLoop
-from cellsys.samples.commands import harmonic
-from cellsys.cell.model import EquivariantModel
 from cellsys.model.latent import LatentModel
 from cellsys.model.sensor import StiffnessSensor
+from cellsys.samples.commands import harmonic
 from cellsys.system import Block, Layout
 from cellsys.units import shaped_array
 
@@ -47,7 +47,7 @@ def closed_loop(
     sensor : StiffnessSensor, optional
         Default the model's own.
     normalise : bool
-        Scale d to unit length (default).
+        Scale d to unit length (default). A scheduled loop knows no other.
     z0, p0 : array (m,), (3,), optional
         Start; default the model's start and a heading of 0 degrees.
 
@@ -78,9 +78,15 @@ def closed_loop(
     if z0.shape != (model.order,) or p0.shape != (3,):
         raise DimensionError(f"z0 must be ({model.order},) and p0 (3,), got {z0.shape}, {p0.shape}")
     check_point(z0, p0)
-    if isinstance(model, EquivariantModel):
-        return ScheduledLoop(model, controller or PolarityLaw(), sensor, z0, p0)
-    return ClosedLoop(model, controller or PolarityLaw(), sensor, normalise, z0, p0)
+    law = controller or PolarityLaw()
+    if not isinstance(model, EquivariantModel):
+        return ClosedLoop(model, law, sensor, normalise, z0, p0)
+    if not normalise:
+        raise ParameterError(
+            "normalise=False is for a plant that is the same at all times; the loop of an "
+            "equivariant cell takes the direction with |d| = 1; use closed_loop(model.at(t))"
+        )
+    return ScheduledLoop(model, law, sensor, z0, p0)
 
 
 @checked

@@ -15,15 +15,16 @@ from typing import Any
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import Integrator
-from cellsys.errors import DataError, ParameterError
-from cellsys.integrate.estimate import estimate_by
-from cellsys.loop.loop_system import model_error
-from cellsys.loop.polarity import PolarityLaw
-from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.cell.dynamics import CellState
 from cellsys.cell.forecast import watched
 from cellsys.cell.model import EquivariantModel
+from cellsys.contracts import Integrator
+from cellsys.errors import DataError, ParameterError
+from cellsys.integrate.estimate import estimate_by
+from cellsys.loop.closed_loop import ClosedLoop
+from cellsys.loop.loop_system import model_error
+from cellsys.loop.polarity import PolarityLaw
+from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.model.network_sensor import LocalSensor
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.response import Margins, margins
@@ -205,16 +206,13 @@ class ScheduledLoop:
             found[float(t)] = margins(self.frozen(float(t)).open_loop(point))
         return found
 
-    def frozen(self, t: float, z: np.ndarray | None = None) -> Any:
+    def frozen(self, t: float, z: np.ndarray | None = None) -> ClosedLoop:
         """`ClosedLoop` on the plant frozen at t, which any integrator can run.
 
         A sensor that reads the network is taken linear about z (default: the start).
         """
-        from cellsys.loop.join import closed_loop
 
         plain, sensor = replace(self.model.at(t), z_start=self.z0), self.sensor
         if isinstance(sensor, LocalSensor):
             sensor = sensor.frozen(self.z0 if z is None else z)
-        return closed_loop(
-            plain, controller=self.controller, sensor=sensor, z0=self.z0, p0=self.p0
-        )
+        return ClosedLoop(plain, self.controller, sensor, True, self.z0, self.p0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,18 @@ from cellsys.system import Block, Layout
 ARRAYS = ("A", "B", "offset", "V", "mean", "scale", "singular_values", "z_start", "refits")
 _KIND, _VERSION = "latent model", 1
 EQUIVARIANT = "equivariant model"
+# What reads a file of each kind. Rooms above this one are named, not imported: they are loaded
+# when a file of theirs is met.
+KINDS = {
+    _KIND: ("cellsys.model.latent", "LatentModel"),
+    EQUIVARIANT: ("cellsys.cell.model", "EquivariantModel"),
+}
 
 
-def is_equivariant(path: str | Path) -> bool:
-    """Whether a model file holds an equivariant model; errors as of `load_model`."""
-    return archive_kind(path) == EQUIVARIANT
+def kind_of_file(path: str | Path) -> Any:
+    """The class that reads a model file; errors as of `load_model`."""
+    module, name = KINDS.get(archive_kind(path), KINDS[_KIND])
+    return getattr(importlib.import_module(module), name)
 
 
 def save_model(model: Any, path: str | Path) -> Path:

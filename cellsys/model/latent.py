@@ -20,10 +20,10 @@ from cellsys.errors import (
     RepresentationError,
 )
 from cellsys.model.card import Card
-from cellsys.model.file import ARRAYS, is_equivariant, load_model, save_model
+from cellsys.model.file import ARRAYS, kind_of_file, load_model, save_model
+from cellsys.model.hold import check_roll_out, hold, roll, to_continuous
 from cellsys.model.poles import certainty_of, continuous_poles, pole_set
 from cellsys.model.sensor import StiffnessSensor
-from cellsys.model.hold import check_roll_out, hold, roll, to_continuous
 from cellsys.model.trained_range import Flag, TrainedRange
 from cellsys.response.certainty import PoleCertainty
 from cellsys.response.roots import RootSet
@@ -373,10 +373,13 @@ class LatentModel(Drawable):
     @classmethod
     def load(cls, path: str | Path) -> LatentModel:
         """Read back a saved model of any kind; FileFormatError for anything else."""
-        from cellsys.cell.model import EquivariantModel
+        if cls is LatentModel:
+            return kind_of_file(path).read(path)
+        return cls.read(path)
 
-        if cls is LatentModel and is_equivariant(path):
-            return EquivariantModel.load(path)
+    @classmethod
+    def read(cls, path: str | Path) -> LatentModel:
+        """Read back a model of this very kind."""
         values, sensor = load_model(path)
         try:
             return cls(**values, sensor=None if sensor is None else StiffnessSensor(**sensor))

@@ -22,6 +22,7 @@ from cellsys.contracts import Integrator
 from cellsys.drawable import Drawable
 from cellsys.errors import BudgetError
 from cellsys.loop import ClosedLoop
+from cellsys.model import LatentModel
 from cellsys.population.certainty import block_certainty
 from cellsys.population.dense import dense_block
 from cellsys.population.forms import Block, Form, eigenvalues_of_N
@@ -30,7 +31,6 @@ from cellsys.population.maps import field_rows
 from cellsys.population.modes import Modes, modes_of
 from cellsys.population.poleset import PoleSet, pole_set
 from cellsys.population.split import FieldSplit, field_split
-from cellsys.model import LatentModel
 from cellsys.response.certainty import PoleCertainty
 
 DENSE_LIMIT = 4000

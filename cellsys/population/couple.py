@@ -9,6 +9,7 @@ import numpy as np
 from cellsys.arguments import checked
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.loop import PolarityLaw
+from cellsys.model import LatentModel, StiffnessSensor
 from cellsys.population.cells import CoupledCells
 from cellsys.population.field_sensor import FieldSensor
 from cellsys.population.forms import Form, Superposition
@@ -17,7 +18,6 @@ from cellsys.population.headings import loop_of
 from cellsys.population.load_ports import LoadPorts
 from cellsys.population.maps import basis_of, field_rows
 from cellsys.population.ports import CellPort
-from cellsys.model import LatentModel, StiffnessSensor
 from cellsys.units import real_array
 
 MOST_CELLS = 10**15  # counts of poles stay whole numbers in 64 bits

@@ -13,6 +13,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from cellsys.cell.forecast import watched
+from cellsys.cell.on_field import CellsOnField
 from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.integrate.estimate import EULER, estimate_by
@@ -27,8 +29,6 @@ from cellsys.population.load_ports import PortedCells
 from cellsys.population.polar import frozen_port, polar_gather
 from cellsys.population.poleset import PoleSet
 from cellsys.population.verdict import CoupledStability
-from cellsys.cell.forecast import watched
-from cellsys.cell.on_field import CellsOnField
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 

@@ -24,6 +24,7 @@ from cellsys.contracts import Integrator, LoadPort, MatrixField
 from cellsys.drawable import Drawable
 from cellsys.errors import BudgetError, DimensionError, ParameterError, RepresentationError
 from cellsys.loop import PolarityLaw
+from cellsys.model import LatentModel, StiffnessSensor
 from cellsys.population.field_sensor import FieldSensor
 from cellsys.population.footprint import (
     FieldPassivity,
@@ -35,7 +36,6 @@ from cellsys.population.graph import check_positions
 from cellsys.population.poleset import PoleSet, pole_set
 from cellsys.population.ports import CellPort, PortPassivity
 from cellsys.population.verdict import CoupledStability, judge
-from cellsys.model import LatentModel, StiffnessSensor
 from cellsys.units import real_array
 
 DENSE_LIMIT = 4000

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from cellsys.population.ports import CellPort
 from cellsys.cell.port import PolarPort, PortSites
+from cellsys.population.ports import CellPort
 
 
 def frozen_port(model: Any, t: float | None = None) -> CellPort:

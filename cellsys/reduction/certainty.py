@@ -16,8 +16,8 @@ from cellsys.contracts import Reductor
 from cellsys.errors import CellsysError, DataError
 from cellsys.reduction.basis import Basis, fit_basis
 from cellsys.reduction.regression import LatentParts, truncated
-from cellsys.samples.snapshots import RunData, Snapshots
 from cellsys.response.certainty import PoleCertainty
+from cellsys.samples.snapshots import RunData, Snapshots
 
 GROUPS = 20
 STRETCHES = 8

@@ -14,11 +14,11 @@ from cellsys.arguments import checked
 from cellsys.contracts import Reductor
 from cellsys.drawable import Drawable
 from cellsys.errors import CellsysError, ParameterError
-from cellsys.reduction.basis import check_order, fit_basis
 from cellsys.model.card import BASELINES, DIVERGED, compared
+from cellsys.model.latent import LatentModel
+from cellsys.reduction.basis import check_order, fit_basis
 from cellsys.reduction.contractive import Contractive
 from cellsys.reduction.least_squares import LeastSquares
-from cellsys.model.latent import LatentModel
 from cellsys.reduction.pcr import PCR
 from cellsys.reduction.reduce import complete, reduce_orders
 from cellsys.reduction.regression import LatentParts

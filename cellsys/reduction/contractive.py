@@ -10,14 +10,14 @@ import scipy.linalg as sla
 
 from cellsys.arguments import checked
 from cellsys.errors import ParameterError
-from cellsys.worth.assessment import encode_start
-from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.model.contraction import clipped, contraction_metric, shrunk
 from cellsys.model.latent import LatentModel
+from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.regression import LatentParts, StepSamples, learned_model, truncated
 from cellsys.reduction.ridge import ridge_regress
 from cellsys.reduction.roll_out_loss import RollOuts, adam
 from cellsys.samples.snapshots import Snapshots
+from cellsys.worth.assessment import encode_start
 
 LOSSES = ("roll-out", "one-step")
 METRICS = ("fitted", "whitened")

@@ -11,8 +11,8 @@ import scipy.sparse as sp
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError
-from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.model.latent import LatentModel
+from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.regression import LatentParts, input_map, learned_model
 from cellsys.samples.snapshots import Snapshots
 from cellsys.system import Layout, OdeSystem

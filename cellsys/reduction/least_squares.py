@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.model.latent import LatentModel
+from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.regression import (
     LatentParts,
     StepSamples,

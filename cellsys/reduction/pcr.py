@@ -9,8 +9,8 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, ParameterError
-from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.model.latent import LatentModel
+from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.regression import (
     LatentParts,
     input_map,

@@ -13,16 +13,16 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, IntegrationError, ParameterError
-from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.model.card import Card
-from cellsys.reduction.jacobian import linearised, rows_in, states_only
+from cellsys.model.hold import check_roll_out
 from cellsys.model.latent import LatentModel
 from cellsys.model.poles import fastest_growth, pole_set
-from cellsys.reduction.regression import LatentParts, input_map, learned_model
 from cellsys.model.sensor import StiffnessSensor
-from cellsys.samples.snapshots import Snapshots
-from cellsys.model.hold import check_roll_out
+from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
+from cellsys.reduction.jacobian import linearised, rows_in, states_only
+from cellsys.reduction.regression import LatentParts, input_map, learned_model
 from cellsys.response.roots import RootSet
+from cellsys.samples.snapshots import Snapshots
 from cellsys.system import OdeSystem
 from cellsys.units import shaped_array
 

@@ -11,17 +11,16 @@ import numpy as np
 from cellsys.arguments import checked
 from cellsys.contracts import Reductor
 from cellsys.errors import ParameterError
-from cellsys.worth.assessment import Encoded, assess, encode_all, encode_start
+from cellsys.model.latent import LatentModel
+from cellsys.model.sensor import StiffnessSensor, fit_sensor
+from cellsys.model.trained_range import TrainedRange
 from cellsys.reduction.basis import Basis, fit_basis
 from cellsys.reduction.certainty import refits
-from cellsys.cell.reductor import Equivariant
-from cellsys.model.latent import LatentModel
 from cellsys.reduction.pcr import PCR
 from cellsys.reduction.regression import LatentParts, truncated
-from cellsys.model.sensor import StiffnessSensor, fit_sensor
 from cellsys.samples.snapshots import Snapshots
-from cellsys.model.trained_range import TrainedRange
 from cellsys.units import real_number
+from cellsys.worth.assessment import Encoded, assess, encode_all, encode_start
 
 
 @checked
@@ -64,7 +63,7 @@ def reduce(
     if isinstance(method, type) or not hasattr(method, "fit"):
         raise ParameterError(f"method must be a reductor such as cs.PCR(), got {method!r}")
     tol = None if tol is None else real_number(tol, "tol")
-    if isinstance(method, Equivariant):
+    if hasattr(method, "learn"):  # it brings coordinates of its own
         order = method.order_for(data, float(tol)) if order is None else order
         return method.learn(data, order, test)
     if order is None:

@@ -10,8 +10,8 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.errors import DataError, ParameterError
-from cellsys.reduction.basis import Basis, check_order
 from cellsys.model.latent import LatentModel
+from cellsys.reduction.basis import Basis, check_order
 from cellsys.samples.snapshots import Snapshots
 
 

@@ -10,8 +10,8 @@ import scipy.linalg as sla
 
 from cellsys.arguments import checked
 from cellsys.errors import ParameterError
-from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.model.latent import LatentModel
+from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.regression import LatentParts, StepSamples, learned_model, truncated
 from cellsys.samples.snapshots import Snapshots
 from cellsys.units import real_number

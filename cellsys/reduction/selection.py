@@ -20,9 +20,9 @@ from cellsys.contracts import Reductor
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, ParameterError
 from cellsys.kinds import Seed
+from cellsys.model.latent import LatentModel
 from cellsys.reduction.basis import check_order
 from cellsys.reduction.comparison import described, measured, refuse_shared_runs
-from cellsys.model.latent import LatentModel
 from cellsys.reduction.reduce import reduce
 from cellsys.samples.snapshots import Snapshots
 

@@ -8,14 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from cellsys.errors import FileFormatError
-from cellsys.reduction import Basis
-from cellsys.samples import Snapshots
-from cellsys.worth.assessment import Encoded, encode_all
-from cellsys.reduction.basis import fit_basis
 from cellsys.model.latent import LatentModel
+from cellsys.reduction import Basis
+from cellsys.reduction.basis import fit_basis
 from cellsys.reduction.regression import LatentParts
+from cellsys.samples import Snapshots
 from cellsys.store import fingerprint, load_archive, save_archive
 from cellsys.version import __version__
+from cellsys.worth.assessment import Encoded, encode_all
 
 _KIND = "coordinates"
 

@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from cellsys.errors import CellsysError, FileFormatError, LostRunError, RankError, SceneError
-from cellsys.loop import PolarityLaw, closed_loop
-from cellsys.observe import heading_error_deg
 from cellsys.cell import Equivariant, EquivariantModel, with_matrix
-from cellsys.field import GalerkinField
-from cellsys.model import LatentModel
-from cellsys.samples import Snapshots, snapshots
 from cellsys.cell.records import read_records
-from cellsys.samples.provenance import data_hash
+from cellsys.errors import CellsysError, FileFormatError, LostRunError, RankError, SceneError
+from cellsys.field import GalerkinField
+from cellsys.loop import PolarityLaw, closed_loop
+from cellsys.model import LatentModel
+from cellsys.observe import heading_error_deg
 from cellsys.response import margins
+from cellsys.samples import Snapshots, snapshots
+from cellsys.samples.provenance import data_hash
 from cellsys.scene import Scene, build
 from cellsys.store.hashing import fingerprint
 from cellsys.study.measure import OrderRow, margin_table

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cellsys.mechanics.commands import Commands
 from cellsys.cell import EquivariantModel, realisation_floor
-from cellsys.samples import snapshots
 from cellsys.cell.records import read_records
+from cellsys.mechanics.commands import Commands
+from cellsys.samples import snapshots
 from cellsys.scene import Scene
 from cellsys.trajectory import Trajectory, cell_names
 

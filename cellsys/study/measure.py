@@ -13,8 +13,8 @@ from cellsys.drawable import Drawable
 from cellsys.errors import IntegrationError
 from cellsys.model import LatentModel
 from cellsys.reduction import reduce_orders
-from cellsys.samples import Snapshots
 from cellsys.response import Margins
+from cellsys.samples import Snapshots
 from cellsys.study.coordinates import Coordinates
 from cellsys.trajectory import Trajectory
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from cellsys.accuracy.measures import motion, relative
+from cellsys.cell import EquivariantModel
 from cellsys.errors import ParameterError
+from cellsys.field import full_field
 from cellsys.loop import PolarityLaw
 from cellsys.observe import heading_error_deg
 from cellsys.population import FieldSensor, LoadPorts, couple
-from cellsys.cell import EquivariantModel
-from cellsys.field import full_field
 from cellsys.scene import Scene
 from cellsys.trajectory import Trajectory, cell_names
 

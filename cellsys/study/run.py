@@ -15,13 +15,12 @@ from cellsys.arguments import checked
 from cellsys.errors import CellsysError, ParameterError, RankError
 from cellsys.integrate import CVODES
 from cellsys.loop import ClosedLoop, Linearisation, PolarityLaw, closed_loop
-from cellsys.observe import heading_error_deg, summary_of_run
 from cellsys.model import LatentModel
+from cellsys.observe import heading_error_deg, summary_of_run
 from cellsys.reduction import PCR, LeastSquares
-from cellsys.samples import Snapshots, snapshots
-from cellsys.worth.assessment import encode_start
 from cellsys.reduction.basis import check_order
 from cellsys.response import Margins, RootSet, margins, stability
+from cellsys.samples import Snapshots, snapshots
 from cellsys.scene import ChainScene, Scene, build, load_scene, run_ensemble, training_scenes
 from cellsys.store import discard_partial, write_json
 from cellsys.study.coordinates import learn_coordinates
@@ -30,6 +29,7 @@ from cellsys.study.files import plain, save_run
 from cellsys.study.floors import floor_scenes, measured_floors
 from cellsys.study.measure import OrderSweep, margin_table, read_out_name, sweep_orders, texts
 from cellsys.trajectory import Trajectory
+from cellsys.worth.assessment import encode_start
 
 if TYPE_CHECKING:
     from cellsys.study.cells import CellsStudy

@@ -11,13 +11,13 @@ import numpy as np
 from cellsys.arguments import checked
 from cellsys.contracts import ReducedModel
 from cellsys.errors import IntegrationError
-from cellsys.worth.baselines import command_baselines
 from cellsys.model.card import Card, resolution, verdict
-from cellsys.worth.errors import mse, relative, root_mean_square
 from cellsys.model.latent import LatentModel
 from cellsys.model.poles import fastest_growth
 from cellsys.samples.provenance import constant_commands, data_hash, repeated_runs, repeats
 from cellsys.samples.snapshots import RunData, Snapshots
+from cellsys.worth.baselines import command_baselines
+from cellsys.worth.errors import mse, relative, root_mean_square
 
 LARGEST = float(np.finfo(float).max)  # what an infinite error is written as
 

@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 import cellsys as cs
-from cellsys.samples.commands import harmonic_value
 from cellsys.cell.records import read_records
 from cellsys.cell.reductor import sites_of
+from cellsys.samples.commands import harmonic_value
 
 from .runs import data, model, runs
 

@@ -16,8 +16,8 @@ from cellsys.errors import (
     RankError,
     SceneError,
 )
-from cellsys.laws.fibre import axial
 from cellsys.field.descent import StepMemory, StepProblem, implicit_step
+from cellsys.laws.fibre import axial
 from tests.mechanics.scenes import clutch, small, table
 
 FEW = {"places": 25, "per_place": 4}  # quick modes; accuracy is not what these tests are about
@@ -139,7 +139,7 @@ def test_a_full_basis_gives_the_full_field():
     loads = patch_loads(f, 3, seed=2)
     one = f.displacement(f.simulate(loads, 10.0).x)
     two = whole.displacement(
-        cs.reduction.FullField(small(), tolerance=1e-9).simulate(loads, 10.0).x
+        cs.FullField(small(), tolerance=1e-9).simulate(loads, 10.0).x
     )
     # Both leave 1e-9 of the load; soft directions have 1e3 times less stiffness than stiff ones.
     assert np.abs(one - two).max() < 1e-6 * np.abs(two).max()

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
+from cellsys.cell import Equivariant
 from cellsys.errors import CellsysError, IntegrationError
 from cellsys.integrate import CVODES, simulate
-from cellsys.cell import Equivariant
 from cellsys.model import LatentModel, TrainedRange
 from cellsys.reduction import PCR, TPWL, Contractive, Jacobian, LeastSquares, Ridge, reduce
 from cellsys.samples import snapshots
 from cellsys.system import OdeSystem
 from tests import naive
-from tests.hard.stress import SEED, Case, Choice, Int, Power, Real, hold
 from tests.cell.runs import data as small_cell
+from tests.hard.stress import SEED, Case, Choice, Int, Power, Real, hold
 from tests.reduction.systems import one_step_data, spreading_data, stable_matrix
 
 HORIZONS = np.array([0.0, 1.0, 2.0, 10.0, 1e3, 1e6])

@@ -19,8 +19,8 @@ from cellsys.errors import (
     RepresentationError,
 )
 from cellsys.model import LatentModel, StiffnessSensor
-from cellsys.reduction import PCR, reduce
 from cellsys.model.hold import hold, to_continuous
+from cellsys.reduction import PCR, reduce
 from cellsys.store import save_archive
 from tests.reduction.systems import one_step_data, stable_matrix
 

@@ -6,11 +6,6 @@ import numpy as np
 import pytest
 
 import cellsys as cs
-from cellsys.errors import DimensionError, ParameterError, RepresentationError
-from cellsys.loop import PolarityLaw
-from cellsys.population import Feedback, LoadPorts, Superposition, couple
-from cellsys.population.polar import frozen_port, polar_gather
-from cellsys.model import StiffnessSensor
 from cellsys.cell.charges import command_features
 from cellsys.cell.dynamics import CellDynamics, ChargeBlock, ReadOut
 from cellsys.cell.model import EquivariantModel
@@ -19,7 +14,12 @@ from cellsys.cell.port import PolarPort, PortSites
 from cellsys.cell.representation import CellRepresentation, ChargeModes
 from cellsys.cell.schedule import Clock
 from cellsys.cell.shape import ShapeBasis
+from cellsys.errors import DimensionError, ParameterError, RepresentationError
 from cellsys.field import GalerkinField
+from cellsys.loop import PolarityLaw
+from cellsys.model import StiffnessSensor
+from cellsys.population import Feedback, LoadPorts, Superposition, couple
+from cellsys.population.polar import frozen_port, polar_gather
 from cellsys.system import Layout
 from tests.cell.refined import reading, refined
 from tests.cell.runs import scene

@@ -8,12 +8,12 @@ import pytest
 
 import cellsys as cs
 from cellsys.errors import ParameterError
+from cellsys.model.network_sensor import LocalSensor, StiffnessMap
 from cellsys.population import FieldSensor, LoadPorts, couple
 from cellsys.population.field_sensor import standing_on
-from cellsys.model.network_sensor import LocalSensor, StiffnessMap
-from tests.population.test_equivariant_cells import PAIR, model
 from tests.cell.runs import model as trained
 from tests.cell.runs import scene
+from tests.population.test_equivariant_cells import PAIR, model
 from tests.study.scenes import TINY
 
 

@@ -12,6 +12,7 @@ from cellsys.errors import (
     RepresentationError,
 )
 from cellsys.integrate import DOP853
+from cellsys.model import LatentModel
 from cellsys.population import (
     Feedback,
     InteractionGraph,
@@ -20,7 +21,6 @@ from cellsys.population import (
     Superposition,
     couple,
 )
-from cellsys.model import LatentModel
 from cellsys.response import poles, spectrum
 from tests.naive import dense_coupled_poles, kronecker_coupling
 from tests.population.systems import match, model

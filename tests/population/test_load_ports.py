@@ -15,9 +15,9 @@ from cellsys.errors import (
 )
 from cellsys.integrate import DOP853
 from cellsys.loop import PolarityLaw
+from cellsys.model import StiffnessSensor
 from cellsys.population import CellPort, LinearField, LoadPorts, PatchPort, couple
 from cellsys.population.ported_run import PortFlow, _Steps, ported_loop
-from cellsys.model import StiffnessSensor
 from cellsys.response import poles
 from tests.population.systems import HEADINGS, match, model
 

@@ -8,6 +8,7 @@ from cellsys.errors import BudgetError, IntegrationError, ParameterError
 from cellsys.integrate import DOP853, RungeKutta4, simulate
 from cellsys.laws.polarity import exact_step, exact_steps
 from cellsys.loop import Perturb, PolarityLaw
+from cellsys.model import LatentModel
 from cellsys.population import (
     Feedback,
     InteractionGraph,
@@ -16,7 +17,6 @@ from cellsys.population import (
     Superposition,
     couple,
 )
-from cellsys.model import LatentModel
 from tests.naive import kronecker_coupling
 from tests.population.systems import match, model
 

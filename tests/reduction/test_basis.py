@@ -10,8 +10,8 @@ import scipy.sparse as sp
 
 from cellsys.errors import ParameterError, RankError
 from cellsys.reduction import PCR, ExactSVD, LeastSquares, RandomisedSVD, fit_basis, reduce
-from cellsys.samples import snapshots
 from cellsys.reduction.basis import latent_samples, moments
+from cellsys.samples import snapshots
 from tests.reduction.systems import linear_runs, one_step_data, stable_matrix, state_data
 
 

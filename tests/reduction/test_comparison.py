@@ -7,8 +7,8 @@ import pytest
 import cellsys as cs
 from cellsys.errors import ParameterError, RankError
 from cellsys.model import LatentModel
-from cellsys.reduction import PCR, Contractive, LeastSquares, Ridge, reduce
 from cellsys.model.card import BASELINES
+from cellsys.reduction import PCR, Contractive, LeastSquares, Ridge, reduce
 from cellsys.reduction.comparison import compare_reductors
 from tests.reduction.systems import spreading_data
 

@@ -5,8 +5,8 @@ import pytest
 
 from cellsys.errors import IntegrationError, ParameterError
 from cellsys.model import LatentModel, contraction
-from cellsys.reduction import Contractive, fit_basis, reduce
 from cellsys.model.contraction import clipped, contraction_metric, shrunk
+from cellsys.reduction import Contractive, fit_basis, reduce
 from cellsys.reduction.regression import LatentParts
 from cellsys.reduction.roll_out_loss import RollOuts, adam
 from tests.reduction.systems import linear_runs, spreading_data, stable_matrix, state_data

@@ -8,8 +8,8 @@ import pytest
 from cellsys.errors import DataError, DimensionError, IntegrationError, ParameterError
 from cellsys.integrate import CVODES, simulate
 from cellsys.reduction import TPWL, Jacobian, compare_reductors, reduce
-from cellsys.samples import snapshots
 from cellsys.reduction.piecewise import PiecewiseModel, farthest_points
+from cellsys.samples import snapshots
 from cellsys.system import OdeSystem
 
 

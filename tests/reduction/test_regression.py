@@ -15,11 +15,11 @@ from cellsys.errors import (
 from cellsys.integrate import CVODES, simulate
 from cellsys.model import LatentModel
 from cellsys.reduction import PCR, LeastSquares, reduce, reduce_orders
-from cellsys.samples import RunData, snapshots
-from cellsys.worth.assessment import predict_samples
 from cellsys.reduction.basis import fit_basis
 from cellsys.reduction.regression import regress
+from cellsys.samples import RunData, snapshots
 from cellsys.system import OdeSystem
+from cellsys.worth.assessment import predict_samples
 from tests import naive
 from tests.reduction.systems import ar1_data, linear_runs, one_step_data, stable_matrix, state_data
 

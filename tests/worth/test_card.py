@@ -10,12 +10,12 @@ import pytest
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+from cellsys.cell.worth import block_errors
 from cellsys.model import Card, LatentModel
+from cellsys.model.card import verdict
 from cellsys.reduction import PCR, LeastSquares, fit_basis, pole_certainty, reduce
 from cellsys.worth import assess
 from cellsys.worth.assessment import encode_run, mean_motion, position_rows
-from cellsys.model.card import verdict
-from cellsys.cell.worth import block_errors
 from cellsys.worth.errors import mse
 from tests.reduction.systems import linear_runs, one_step_data, stable_matrix, state_data
 

@@ -17,10 +17,10 @@ from cellsys.reduction import (
     pole_certainty,
     reduce,
 )
-from cellsys.samples import RunData, snapshots
-from cellsys.worth.assessment import baselines, mean_motion
 from cellsys.response import damping, stability
 from cellsys.response import poles as cs_poles
+from cellsys.samples import RunData, snapshots
+from cellsys.worth.assessment import baselines, mean_motion
 from tests.reduction.systems import one_step_data, state_data
 
 
