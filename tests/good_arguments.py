@@ -20,8 +20,8 @@ import cellsys as cs
 from tests.study.scenes import TINY
 
 ROOMS = (
-    "accuracy", "bondgraph", "integrate", "loop", "observe", "population", "reduction",
-    "reduction.field", "response", "scene", "store", "study",
+    "accuracy", "bondgraph", "cell", "field", "integrate", "loop", "model", "observe",
+    "population", "reduction", "response", "samples", "scene", "store", "study", "worth",
 )  # fmt: skip
 
 
