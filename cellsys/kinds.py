@@ -123,12 +123,19 @@ def _fault_of_real(value: Any) -> str | None:
     return f" must be a number, got {shown(value)}" + ("; write it as 1e30" if long else "")
 
 
+def _fault_of_whole(value: Any) -> str | None:
+    if _is_whole(value):
+        return None
+    bound = "" if _whole(value) is None else " between -2^63 and 2^63"
+    return f" must be a whole number{bound}, got {shown(value)}"
+
+
 _ANYTHING = Kind("anything", lambda value: None)
 _PLAIN: dict[Any, Kind] = {
     Any: _ANYTHING,
     object: _ANYTHING,
     float: Kind("a number", _fault_of_real),
-    int: _must_be("a whole number", _is_whole),
+    int: Kind("a whole number", _fault_of_whole),
     complex: _must_be("a number", lambda v: _is_number(v) and not isinstance(v, bool)),
     bool: _must_be("True or False", lambda v: isinstance(v, (bool, np.bool_))),
     str: _must_be("a text", lambda v: isinstance(v, str)),

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -95,6 +95,8 @@ class Snapshots:
     scale: str = "block"
     source: Mapping[str, Any] = field(default_factory=dict)
     geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    _made_by: ClassVar[str] = "cs.snapshots([...])"
 
     def __post_init__(self) -> None:
         if not isinstance(self.scale, str) or self.scale not in SCALES:

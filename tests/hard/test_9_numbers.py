@@ -146,7 +146,7 @@ def test_polarities_that_are_none(p):
 
 @pytest.mark.parametrize("path", ["", None, 3, "a\0b"])
 def test_paths_that_are_none(path):
-    with pytest.raises(CellsysError, match="path must name a file"):
+    with pytest.raises(CellsysError, match="path must"):
         cs.LatentModel(A).save(path)
 
 

@@ -91,7 +91,7 @@ def built(table):
     ("place", "value", "kind"),
     [
         ("matrix.nodes", 10**9, BudgetError),
-        ("matrix.nodes", 10**30, BudgetError),
+        ("matrix.nodes", 10**30, SceneError),
         ("sample", "4e-11 s", SceneError),  # 1e12 samples
         ("duration", "1e12 s", SceneError),
         ("step", "1e-9 s", SceneError),
