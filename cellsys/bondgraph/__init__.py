@@ -16,7 +16,8 @@ from cellsys.bondgraph.elements import (
     Zero,
 )
 from cellsys.bondgraph.equations import Equations
-from cellsys.bondgraph.graph import Bond, BondGraph
+from cellsys.bondgraph.graph import BondGraph
+from cellsys.bondgraph.junctions import Bond, JunctionGraph
 
 __all__ = [
     "GY",
@@ -29,6 +30,7 @@ __all__ = [
     "Equations",
     "I",
     "Internal",
+    "JunctionGraph",
     "NodalEffort",
     "One",
     "R",

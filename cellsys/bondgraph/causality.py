@@ -29,7 +29,7 @@ from cellsys.bondgraph.elements import (
     Zero,
 )
 from cellsys.bondgraph.elimination import Number, SolutionSet, rational
-from cellsys.bondgraph.graph import BondGraph, Port, is_matrix, is_modulated
+from cellsys.bondgraph.junctions import JunctionGraph, Port, is_matrix, is_modulated
 from cellsys.bondgraph.quantities import dimension_of, read
 from cellsys.errors import CausalityError, ParameterError
 
@@ -54,7 +54,7 @@ class Causality:
     outputs: dict[int, tuple[str, str]]
     solution: SolutionSet
 
-    def effort_from_tail(self, graph: BondGraph) -> dict[str, bool]:
+    def effort_from_tail(self, graph: JunctionGraph) -> dict[str, bool]:
         """For each bond, whether its tail imposes the effort (the causal stroke is at the head)."""
         return _strokes(graph, self)
 
@@ -64,7 +64,7 @@ def variable(bond: int, quantity: str) -> int:
     return 2 * bond + (quantity == FLOW)
 
 
-def ratio_of(graph: BondGraph, element: Any) -> float:
+def ratio_of(graph: JunctionGraph, element: Any) -> float:
     """A constant scalar ratio of a TF or GY, as a float in the graph's units."""
     inner, outer = graph.two_port_sides(element)
     kind = type(element).__name__
@@ -76,7 +76,7 @@ def ratio_of(graph: BondGraph, element: Any) -> float:
     return value
 
 
-def relations(graph: BondGraph, *, generic: bool) -> Iterable[dict[int, Number]]:
+def relations(graph: JunctionGraph, *, generic: bool) -> Iterable[dict[int, Number]]:
     """Rows of the junction structure: coefficients of bond variables that sum to zero.
 
     `generic` includes modulated and matrix two-ports with arbitrary distinct ratios; without it
@@ -117,7 +117,7 @@ def _primes() -> Iterable[int]:
         k += 2
 
 
-def assign(graph: BondGraph) -> Causality:
+def assign(graph: JunctionGraph) -> Causality:
     """Choose the output of every port; see the module's text.
 
     Raises
@@ -185,14 +185,14 @@ def assign(graph: BondGraph) -> Causality:
     return Causality(outputs, solution)
 
 
-def _structure(graph: BondGraph, *, generic: bool) -> SolutionSet:
+def _structure(graph: JunctionGraph, *, generic: bool) -> SolutionSet:
     solution = SolutionSet(2 * len(graph.joined))
     for row in relations(graph, generic=generic):
         solution.relate(row)
     return solution
 
 
-def _refuse_loose(graph: BondGraph, solution: SolutionSet) -> None:
+def _refuse_loose(graph: JunctionGraph, solution: SolutionSet) -> None:
     loose = solution.free()
     if loose:
         listed = ", ".join(
@@ -205,7 +205,7 @@ def _refuse_loose(graph: BondGraph, solution: SolutionSet) -> None:
 
 
 def _open_two_ports(
-    graph: BondGraph, special: list[Any], outputs: dict[int, tuple[str, str]]
+    graph: JunctionGraph, special: list[Any], outputs: dict[int, tuple[str, str]]
 ) -> SolutionSet:
     """The junction structure with modulated and matrix two-ports taken out as elements."""
     solution = _structure(graph, generic=False)
@@ -281,7 +281,7 @@ def _word(quantity: str) -> str:
     return "effort" if quantity == EFFORT else "flow"
 
 
-def _strokes(graph: BondGraph, causality: Causality) -> dict[str, bool]:
+def _strokes(graph: JunctionGraph, causality: Causality) -> dict[str, bool]:
     """Propagate the outputs of the ports over the bonds and through the junctions."""
     tail: dict[int, bool] = {}
     for index, (quantity, _) in causality.outputs.items():

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from cellsys.bondgraph.elements import C, CField, I, R
-from cellsys.bondgraph.graph import BondGraph
+from cellsys.bondgraph.junctions import JunctionGraph
 from cellsys.bondgraph.laws import shaped
 from cellsys.bondgraph.structure import Structure
 
@@ -68,6 +68,6 @@ def _field(structure: Structure, element: CField, x: np.ndarray) -> float:
     return total
 
 
-def dissipation(graph: BondGraph, into: dict[str, float]) -> dict[str, float]:
+def dissipation(graph: JunctionGraph, into: dict[str, float]) -> dict[str, float]:
     """Power into every resistor."""
     return {p.name: into[p.name] for p in graph.ports if isinstance(p.element, R)}

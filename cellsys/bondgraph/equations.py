@@ -14,24 +14,25 @@ from cellsys.arguments import checked
 from cellsys.bondgraph.causality import assign
 from cellsys.bondgraph.elements import C, CField, I, R, Se, Sf
 from cellsys.bondgraph.energy import dissipation, stored_energy
-from cellsys.bondgraph.graph import BondGraph
-from cellsys.bondgraph.laws import Laws, shaped
+from cellsys.bondgraph.junctions import JunctionGraph
+from cellsys.bondgraph.laws import Laws, apply, shaped
 from cellsys.bondgraph.linearization import linearize
-from cellsys.bondgraph.structure import Structure, build
+from cellsys.bondgraph.state_equations import StateEquations
+from cellsys.bondgraph.structure import build
 from cellsys.bondgraph.writing import latex, text
-from cellsys.system import Layout, OdeSystem
+from cellsys.system import OdeSystem
 
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Equations:
+class Equations(StateEquations):
     """State equations of a bond graph [thesis eq. 5],
 
         dx/dt = W_x x + W_eta eta(t, x) + W_s s(t)
 
     Attributes
     ----------
-    graph : BondGraph
+    graph : JunctionGraph
     states, auxiliaries, inputs : Layout
         x: displacement ``name.q`` of each C, momentum ``name.p`` of each I, positions of
         junctions, internal states, in the order of the elements. eta: effort ``name.e`` or flow
@@ -48,61 +49,12 @@ class Equations:
         Algebraic loops among nonlinear resistors, solved at each evaluation.
     """
 
-    graph: BondGraph
-    structure: Structure
-    laws: Laws
-    W_x: sp.csr_array
-    W_eta: sp.csr_array
-    W_s: sp.csr_array
-    literal: bool
-
-    @property
-    def states(self) -> Layout:
-        """Names of x."""
-        return self.structure.states
-
-    @property
-    def auxiliaries(self) -> Layout:
-        """Names of eta."""
-        return self.structure.auxiliaries
-
-    @property
-    def inputs(self) -> Layout:
-        """Names of the sources."""
-        return self.structure.inputs
-
-    @property
-    def x0(self) -> np.ndarray:
-        """Initial state (n,)."""
-        return self.structure.x0
-
-    @cached_property
-    def causality(self) -> dict[str, str]:
-        """For every bond, the end that imposes the effort."""
-        strokes = self.structure.causality.effort_from_tail(self.graph)
-        return {name: "tail" if tail else "head" for name, tail in strokes.items()}
-
-    @property
-    def dependent(self) -> tuple[str, ...]:
-        """Linear storages in derivative causality."""
-        ports = self.graph.ports
-        return tuple(
-            ports[o.index].name for o in self.structure.outputs if o.kind == "dependent"
-        )
-
-    @property
-    def loops(self) -> tuple[tuple[str, ...], ...]:
-        """Algebraic loops among nonlinear resistors."""
-        return self.laws.loops
-
     def eta(self, t: Any, x: Any) -> Any:
         """Auxiliaries (n_eta,) at (t, x); accepts CasADi symbols where the laws do."""
         return self.laws.eta(t, x, self.laws.sources(t))
 
     def u(self, t: Any, x: Any) -> Any:
         """Exogenous rate W_s s(t), (n,)."""
-        from cellsys.bondgraph.laws import apply
-
         return apply(self.W_s, self.laws.sources(t))
 
     @cached_property
@@ -178,7 +130,7 @@ class Equations:
         return text(self)
 
 
-def derive(graph: BondGraph, *, literal: bool = False) -> Equations:
+def derive(graph: JunctionGraph, *, literal: bool = False) -> Equations:
     """Causality, elimination and assembly; see `BondGraph.equations`."""
     structure = build(graph, assign(graph), literal=literal)
     W_x, W_eta, W_s = (

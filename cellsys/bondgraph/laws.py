@@ -17,7 +17,7 @@ import scipy.linalg as sla
 import scipy.sparse as sp
 
 from cellsys.bondgraph.elements import GY, TF, CField, Internal, NodalEffort, R
-from cellsys.bondgraph.graph import is_modulated
+from cellsys.bondgraph.junctions import is_modulated
 from cellsys.bondgraph.outputs import Output, output_sign
 from cellsys.bondgraph.quantities import dimension_of, read
 from cellsys.bondgraph.structure import Structure

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from cellsys.bondgraph.state_equations import StateEquations
 from cellsys.errors import DimensionError, NotSymbolicError, ParameterError
-
-if TYPE_CHECKING:
-    from cellsys.bondgraph.equations import Equations
 
 
 def linearize(
-    equations: Equations,
+    equations: StateEquations,
     x0: np.ndarray | Mapping[str, Any] | None = None,
     *,
     t: float = 0.0,
@@ -102,7 +100,7 @@ def _signals(names: Sequence[str]) -> list[str]:
     return [name.replace(".", "_") for name in names]
 
 
-def _point(equations: Equations, x0: Any) -> np.ndarray:
+def _point(equations: StateEquations, x0: Any) -> np.ndarray:
     x = np.array(equations.x0, dtype=float)
     if isinstance(x0, Mapping):
         for name, value in x0.items():
@@ -118,7 +116,7 @@ def _point(equations: Equations, x0: Any) -> np.ndarray:
     return x
 
 
-def _bond_rows(equations: Equations, label: str) -> Any:
+def _bond_rows(equations: StateEquations, label: str) -> Any:
     S, graph = equations.structure, equations.graph
     head, _, quantity = label.rpartition(".")
     bonds = {b.name: i for i, b in enumerate(graph.joined)} | {p.name: p.bond for p in graph.ports}
@@ -134,7 +132,7 @@ def _bond_rows(equations: Equations, label: str) -> Any:
 
 
 def _jacobians(
-    equations: Equations, t: float, x: np.ndarray, s: np.ndarray
+    equations: StateEquations, t: float, x: np.ndarray, s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     laws = equations.laws
     if not laws.size:

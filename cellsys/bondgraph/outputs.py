@@ -10,7 +10,7 @@ import numpy as np
 
 from cellsys.bondgraph.causality import EFFORT, FLOW, Causality
 from cellsys.bondgraph.elements import C, CField, I, Internal, NodalEffort, R, Se, Sf
-from cellsys.bondgraph.graph import BondGraph, Port, is_matrix
+from cellsys.bondgraph.junctions import JunctionGraph, Port, is_matrix
 from cellsys.bondgraph.quantities import dimension_of, read, state_units
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.system import Block, Layout
@@ -40,7 +40,7 @@ def size_of(shape: tuple[int, ...]) -> int:
     return int(np.prod(shape, dtype=int))
 
 
-def constant_of(graph: BondGraph, port: Port, quantity: str) -> tuple[str, np.ndarray]:
+def constant_of(graph: JunctionGraph, port: Port, quantity: str) -> tuple[str, np.ndarray]:
     """(parameter name, values (n,)) of a linear R, C or I, in the graph's units; checked."""
     element, shape = port.element, graph.shapes[port.bond]
     names = {R: ("resistance", "conductance"), C: ("compliance", "stiffness"), I: ("inertance",)}
@@ -58,7 +58,7 @@ def constant_of(graph: BondGraph, port: Port, quantity: str) -> tuple[str, np.nd
     return name, value
 
 
-def _factor(graph: BondGraph, port: Port, quantity: str, kind: str) -> np.ndarray:
+def _factor(graph: JunctionGraph, port: Port, quantity: str, kind: str) -> np.ndarray:
     """Output of a linear element over its state (storage) or its input (others)."""
     name, value = constant_of(graph, port, quantity)
     if isinstance(port.element, R):
@@ -102,7 +102,7 @@ def output_sign(port: Port, quantity: str) -> int:
     return 1
 
 
-def outputs_of(graph: BondGraph, causality: Causality, literal: bool) -> tuple[Output, ...]:
+def outputs_of(graph: JunctionGraph, causality: Causality, literal: bool) -> tuple[Output, ...]:
     """Outputs of all ports in the order of the elements, then rates of internal states."""
     out: list[Output] = []
     start = 0
@@ -135,13 +135,13 @@ def outputs_of(graph: BondGraph, causality: Causality, literal: bool) -> tuple[O
     return tuple(out)
 
 
-def unit_of(graph: BondGraph, output: Output) -> str:
+def unit_of(graph: JunctionGraph, output: Output) -> str:
     """Unit of an output's effort or flow."""
     port = graph.ports[output.index]
     return state_units(graph.domains[port.bond], graph.units)[0 if output.quantity == EFFORT else 1]
 
 
-def auxiliaries_of(graph: BondGraph, outputs: Sequence[Output]) -> Layout:
+def auxiliaries_of(graph: JunctionGraph, outputs: Sequence[Output]) -> Layout:
     """Blocks of outputs that are auxiliaries; the role of each is that of the array it acts on."""
     roles = {}
     for name, bonds in graph.junction_bonds.items():
@@ -151,7 +151,7 @@ def auxiliaries_of(graph: BondGraph, outputs: Sequence[Output]) -> Layout:
     return Layout([_auxiliary(graph, output, roles) for output in outputs])
 
 
-def _auxiliary(graph: BondGraph, output: Output, roles: Mapping[int, str]) -> Block:
+def _auxiliary(graph: JunctionGraph, output: Output, roles: Mapping[int, str]) -> Block:
     if output.kind == "rate":
         block = graph.by_name[output.name].block
         return Block(f"{block.name}.rate", block.shape, f"{block.unit}/s", block.role, "internal")

@@ -22,7 +22,7 @@ import scipy.sparse.linalg as spla
 
 from cellsys.bondgraph.causality import EFFORT, FLOW, Causality, variable
 from cellsys.bondgraph.elements import C, CField, I, Internal, One
-from cellsys.bondgraph.graph import BondGraph, Port, is_matrix
+from cellsys.bondgraph.junctions import JunctionGraph, Port, is_matrix
 from cellsys.bondgraph.outputs import (
     Output,
     auxiliaries_of,
@@ -41,7 +41,7 @@ from cellsys.system import Block, Layout
 class Structure:
     """Everything about a graph that does not depend on the state."""
 
-    graph: BondGraph
+    graph: JunctionGraph
     causality: Causality
     outputs: tuple[Output, ...]
     states: Layout
@@ -59,7 +59,7 @@ class Structure:
     bond_place: tuple[slice, ...]
 
 
-def build(graph: BondGraph, causality: Causality, *, literal: bool) -> Structure:
+def build(graph: JunctionGraph, causality: Causality, *, literal: bool) -> Structure:
     """Assemble all matrices; O(entries) apart from one sparse solve where R-R loops are linear."""
     outputs = outputs_of(graph, causality, literal)
     width = sum(size_of(o.shape) for o in outputs)
@@ -106,7 +106,7 @@ def _places(sizes: list[int]) -> tuple[slice, ...]:
 
 
 def _bond_maps(
-    graph: BondGraph,
+    graph: JunctionGraph,
     causality: Causality,
     outputs: tuple[Output, ...],
     bond_place: tuple[slice, ...],
@@ -142,7 +142,7 @@ def _bond_maps(
 
 
 def _states(
-    graph: BondGraph,
+    graph: JunctionGraph,
     outputs: tuple[Output, ...],
     inner: dict[str, sp.csr_array],
     flow: sp.csr_array,
@@ -212,7 +212,7 @@ def _select(eye: sp.csc_array, places: list[slice]) -> sp.csc_array:
 
 
 def _storage(
-    graph: BondGraph,
+    graph: JunctionGraph,
     outputs: tuple[Output, ...],
     states: Layout,
     state_of: dict[str, str],
@@ -235,7 +235,7 @@ def _storage(
 
 
 def _hidden_row(
-    graph: BondGraph,
+    graph: JunctionGraph,
     output: Output,
     outputs: tuple[Output, ...],
     inner: dict[str, sp.csr_array],
@@ -267,7 +267,7 @@ def _hidden_row(
 
 
 def _matrix_row(
-    graph: BondGraph, port: Port, output: Output, inner: dict[str, sp.csr_array]
+    graph: JunctionGraph, port: Port, output: Output, inner: dict[str, sp.csr_array]
 ) -> sp.csr_array:
     """e_in = M^T e_out, f_out = M f_in; M acts on nodes, or on all entries."""
     a, b = graph.two_port_sides(port.element)

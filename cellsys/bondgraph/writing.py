@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from cellsys.bondgraph.elements import GY, TF, C, I, R
-from cellsys.bondgraph.graph import is_matrix, is_modulated
+from cellsys.bondgraph.junctions import is_matrix, is_modulated
 from cellsys.bondgraph.outputs import Output
-
-if TYPE_CHECKING:
-    from cellsys.bondgraph.equations import Equations
+from cellsys.bondgraph.state_equations import StateEquations
 
 
-def _terms(equations: Equations, row: Any) -> list[tuple[float, str]]:
+def _terms(equations: StateEquations, row: Any) -> list[tuple[float, str]]:
     """(coefficient, output name) of one row over y; a vector element counts once."""
     out = []
     row = row.tocsr()
@@ -40,7 +38,7 @@ def _sum(terms: list[tuple[float, str]]) -> str:
     return text[3:] if text.startswith(" + ") else "-" + text[3:]
 
 
-def _law(equations: Equations, o: Output, show: Any) -> str:
+def _law(equations: StateEquations, o: Output, show: Any) -> str:
     """Right-hand side of one constitutive law, with the names of what it depends on."""
     graph, S = equations.graph, equations.structure
     if o.kind == "rate":
@@ -75,7 +73,7 @@ def _law(equations: Equations, o: Output, show: Any) -> str:
     return f"{factor} ({seen})" if " " in seen else f"{factor} {seen}"
 
 
-def text(equations: Equations) -> str:
+def text(equations: StateEquations) -> str:
     """Rates of the states, constitutive laws and causality, one per line."""
     graph, S = equations.graph, equations.structure
     lines = [f"bond graph {graph.name or '(unnamed)'}: {len(graph.joined)} bonds, "
@@ -108,7 +106,7 @@ def _plain(name: str) -> str:
     return re.sub(r"([_%&#])", r"\\\1", name).replace(" ", "\\ ")
 
 
-def latex(equations: Equations) -> str:
+def latex(equations: StateEquations) -> str:
     """An ``aligned`` block with rates and laws."""
     S = equations.structure
     rows = []
