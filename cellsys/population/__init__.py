@@ -1,16 +1,17 @@
 """K cells on one shared field: printed couplings, load ports, modal split, interaction graph."""
 
-from cellsys.population.cells import CoupledCells
 from cellsys.population.couple import couple
-from cellsys.population.field_sensor import FieldSensor
-from cellsys.population.footprint import LinearField, PatchPort
-from cellsys.population.forms import Feedback, MappedSuperposition, Superposition
 from cellsys.population.graph import InteractionGraph
-from cellsys.population.load_ports import LoadPorts, PortedCells
-from cellsys.population.maps import ForceMap, P_c, P_F_phi, P_phi, fit_P_map
 from cellsys.population.poleset import PoleSet
-from cellsys.population.ports import CellPort, PortPassivity
-from cellsys.population.split import FieldSplit
+from cellsys.population.ported.field_sensor import FieldSensor
+from cellsys.population.ported.footprint import LinearField, PatchPort
+from cellsys.population.ported.linear_cells import PortedCells
+from cellsys.population.ported.load_ports import LoadPorts
+from cellsys.population.ported.ports import CellPort, PortPassivity
+from cellsys.population.printed.cells import CoupledCells
+from cellsys.population.printed.forms import Feedback, MappedSuperposition, Superposition
+from cellsys.population.printed.maps import ForceMap, P_c, P_F_phi, P_phi, fit_P_map
+from cellsys.population.printed.split import FieldSplit
 from cellsys.population.verdict import CoupledStability
 
 __all__ = [

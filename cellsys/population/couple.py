@@ -10,14 +10,14 @@ from cellsys.arguments import checked
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.loop import PolarityLaw
 from cellsys.model import LatentModel, StiffnessSensor
-from cellsys.population.cells import CoupledCells
-from cellsys.population.field_sensor import FieldSensor
-from cellsys.population.forms import Form, Superposition
 from cellsys.population.graph import InteractionGraph, check_positions
 from cellsys.population.headings import loop_of
-from cellsys.population.load_ports import LoadPorts
-from cellsys.population.maps import basis_of, field_rows
-from cellsys.population.ports import CellPort
+from cellsys.population.ported.field_sensor import FieldSensor
+from cellsys.population.ported.load_ports import LoadPorts
+from cellsys.population.ported.ports import CellPort
+from cellsys.population.printed.cells import CoupledCells
+from cellsys.population.printed.forms import Form, Superposition
+from cellsys.population.printed.maps import basis_of, field_rows
 from cellsys.units import real_array
 
 MOST_CELLS = 10**15  # counts of poles stay whole numbers in 64 bits

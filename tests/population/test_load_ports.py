@@ -17,7 +17,7 @@ from cellsys.integrate import DOP853
 from cellsys.loop import PolarityLaw
 from cellsys.model import StiffnessSensor
 from cellsys.population import CellPort, LinearField, LoadPorts, PatchPort, couple
-from cellsys.population.ported_run import PortFlow, _Steps, ported_loop
+from cellsys.population.ported.ported_run import PortFlow, _Steps, ported_loop
 from cellsys.response import poles
 from tests.population.systems import HEADINGS, match, model
 

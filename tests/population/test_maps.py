@@ -7,7 +7,7 @@ import scipy.linalg as sla
 from cellsys.errors import DataError, DimensionError, ParameterError, RepresentationError
 from cellsys.model import LatentModel
 from cellsys.population import MappedSuperposition, P_c, P_F_phi, P_phi, couple, fit_P_map
-from cellsys.population.split import field_split
+from cellsys.population.printed.split import field_split
 from cellsys.system import Block, Layout
 from tests.population.systems import model
 

@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -23,14 +23,14 @@ from cellsys.drawable import Drawable
 from cellsys.errors import BudgetError
 from cellsys.loop import ClosedLoop
 from cellsys.model import LatentModel
-from cellsys.population.certainty import block_certainty
-from cellsys.population.dense import dense_block
-from cellsys.population.forms import Block, Form, eigenvalues_of_N
 from cellsys.population.graph import InteractionGraph
-from cellsys.population.maps import field_rows
-from cellsys.population.modes import Modes, modes_of
 from cellsys.population.poleset import PoleSet, pole_set
-from cellsys.population.split import FieldSplit, field_split
+from cellsys.population.printed.blocks import ModeBlock, PrintedForm, eigenvalues_of_N
+from cellsys.population.printed.certainty import block_certainty
+from cellsys.population.printed.dense import dense_block
+from cellsys.population.printed.maps import field_rows
+from cellsys.population.printed.modes import Modes, modes_of
+from cellsys.population.printed.split import FieldSplit, field_split
 from cellsys.response.certainty import PoleCertainty
 
 DENSE_LIMIT = 4000
@@ -63,7 +63,7 @@ class CoupledCells(Drawable):
 
     model: LatentModel
     n_cells: int
-    coupling: Form
+    coupling: PrintedForm
     graph: InteractionGraph | None
     positions: np.ndarray | None
     headings: np.ndarray | None
@@ -136,7 +136,7 @@ class CoupledCells(Drawable):
             masks.append(np.abs(N) > zero)
         return np.array(masks)
 
-    def blocks(self, *, drop: bool = False) -> list[Block]:
+    def blocks(self, *, drop: bool = False) -> list[ModeBlock]:
         """Every block of the split, in the order of `modes.omega`; one on the dense route."""
         self._refuse_matrix_free("blocks()", "simulate() works")
         A = self.matrices[0]
@@ -149,7 +149,7 @@ class CoupledCells(Drawable):
         ]
 
     @cached_property
-    def _kept_blocks(self) -> list[Block]:
+    def _kept_blocks(self) -> list[ModeBlock]:
         return self.blocks()
 
     def _multiplicity(self) -> np.ndarray:
@@ -207,7 +207,11 @@ class CoupledCells(Drawable):
     @cached_property
     def block_certainty(self) -> tuple[list[PoleCertainty] | None, str]:
         """What the data leave open of the poles of each matrix of `distinct(drop=False)`."""
-        return block_certainty(self)
+
+        def refitted(model: LatentModel) -> list[np.ndarray]:
+            return [M for M, _, _, _ in replace(self, model=model).distinct(drop=False)]
+
+        return block_certainty(self.model, self.eigenvalues, refitted)
 
     def _poles_of(self, *, drop: bool) -> PoleSet:
         parts, dropped, spreads = [], 0, []
@@ -276,15 +280,11 @@ class CoupledCells(Drawable):
     def limit_poles(self) -> np.ndarray:
         """Poles of the mean block as K grows, all cells alike.
 
-        Superposition: eig(A). MappedSuperposition: eig(P^-1 R P A), reached as O(1/K). Feedback:
-        eig(R P A), reached after division by K - 1.
-
-        Raises
-        ------
-        ParameterError
-            MappedSuperposition with a singular P: its poles in general grow like K.
+        Superposition: eig(A). MappedSuperposition: eig(P^-1 R P A), reached as O(1/K), refused
+        where P is singular (poles then grow like K). Feedback: eig(R P A), reached after division
+        by K - 1.
         """
-        from cellsys.population.limits import limit_poles
+        from cellsys.population.printed.limits import limit_poles
 
         return limit_poles(self)
 
@@ -309,14 +309,14 @@ class CoupledCells(Drawable):
             unless 1 - lambda < 1e-3 somewhere: A would hold |A|/(1 - lambda), and poles computed
             from it would be wrong.
         """
-        from cellsys.population.plant import plant_of
+        from cellsys.population.printed.plant import plant_of
 
         if coordinates is None:
             low = min(b.smallest for b in self._checked_blocks("plant()"))
             coordinates = "emergent" if low >= _STIFF else "isolated"
         return plant_of(self, self._checked_blocks("plant()"), coordinates)
 
-    def _checked_blocks(self, what: str) -> list[Block]:
+    def _checked_blocks(self, what: str) -> list[ModeBlock]:
         self._refuse_matrix_free(what, "simulate() works")
         if self.n_cells * self.order > DENSE_LIMIT:
             raise BudgetError(
@@ -335,7 +335,7 @@ class CoupledCells(Drawable):
     @property
     def system(self) -> Any:
         """The whole as an `OdeSystem` with states z (K, m) and p (K, 3), for any integrator."""
-        from cellsys.population.system import coupled_system
+        from cellsys.population.printed.system import coupled_system
 
         return coupled_system(self)
 
@@ -377,19 +377,19 @@ class CoupledCells(Drawable):
         IntegrationError
             With the growth rate, when the run grows beyond 1e100 times its start.
         """
-        from cellsys.population.simulation import run
+        from cellsys.population.printed.simulation import run
 
         return run(self, t, integrator, z0, p0, progress)
 
     def rightmost(self, count: int = 6) -> np.ndarray:
         """The `count` rightmost poles by Arnoldi iterations, for K m above the dense limit."""
-        from cellsys.population.system import rightmost_poles
+        from cellsys.population.printed.system import rightmost_poles
 
         return rightmost_poles(self, count)
 
     def linearize(self, at: Any = None) -> Any:
         """Closed polarity loops of all cells about one common point; see `CoupledLoop`."""
-        from cellsys.population.closed import linearize
+        from cellsys.population.printed.closed import linearize
 
         return linearize(self, at)
 

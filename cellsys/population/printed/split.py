@@ -17,7 +17,7 @@ import scipy.linalg as sla
 
 from cellsys.arguments import checked
 from cellsys.errors import ParameterError
-from cellsys.population.maps import other_rows
+from cellsys.population.printed.maps import other_rows
 
 EPS = float(np.finfo(float).eps)
 DOUBTFUL = 1e-7  # below, data do not decide [notes: theory, rank decision]

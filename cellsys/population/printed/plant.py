@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 
 from cellsys.errors import ParameterError
-from cellsys.population.forms import Block
+from cellsys.population.printed.blocks import ModeBlock
 
 
-def plant_of(cells: Any, blocks: list[Block], coordinates: str) -> Any:
+def plant_of(cells: Any, blocks: list[ModeBlock], coordinates: str) -> Any:
     """Assemble the blocks: x' = M x + G B c, z = T x, or the same in z.
 
     Parameters
     ----------
     cells : CoupledCells
-    blocks : list of Block
+    blocks : list of ModeBlock
     coordinates : {"emergent", "isolated"}
     """
     import control

@@ -1,7 +1,7 @@
 """Coupled cells as an `OdeSystem`, for any integrator and any weights.
 
-The state is x with z = T x + offset (see `cellsys.population.forms`), so that no inverse of a
-small number is formed, and the polarities p.
+The state is x with z = T x + offset (see `cellsys.population.printed.blocks`), so that no inverse
+of a small number is formed, and the polarities p.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import scipy.sparse.linalg as spla
 
 from cellsys.errors import BudgetError, ParameterError
 from cellsys.population.headings import commands, rates, sensed
-from cellsys.population.propagators import Propagators
+from cellsys.population.printed.propagators import Propagators
 from cellsys.store.memory import check_memory
 from cellsys.system import Block, Layout, OdeSystem
 

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.cell.port import PolarPort, PortSites
-from cellsys.population.ports import CellPort
+from cellsys.population.ported.ports import CellPort
 
 
 def frozen_port(model: Any, t: float | None = None) -> CellPort:

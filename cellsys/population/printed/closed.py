@@ -1,7 +1,7 @@
 """Closed polarity loops of coupled cells, linearised about one common point.
 
 Every cell at the same emergent z and polarity p, dp = T xi. Per eigenvalue omega of the
-interaction, in the coordinates of `cellsys.population.forms` (z = T_omega x):
+interaction, in the coordinates of `cellsys.population.printed.blocks` (z = T_omega x):
 
     [[M, G B_u T], [kappa S T_omega, -kappa p*.d*]]
 

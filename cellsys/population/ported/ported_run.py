@@ -14,7 +14,7 @@ from cellsys.integrate.simulate import check_times
 from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.model import LatentModel
 from cellsys.population.headings import commands, loop_of, sensed, turn
-from cellsys.population.simulation import SplitRun, split_estimate
+from cellsys.population.splitting import SplitRun, split_estimate
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 

@@ -125,7 +125,7 @@ class LinearField:
 
 
 @dataclass(frozen=True)
-class FieldPassivity:
+class RestPassivity:
     """Passivity of the matrix C q' = -K q + load at every port E that gathers as it scatters.
 
     Attributes
@@ -157,7 +157,7 @@ def dense_stiffness(field: Any) -> np.ndarray:
     return np.asarray(K.toarray() if hasattr(K, "toarray") else K, dtype=float)
 
 
-def field_passivity(field: Any) -> FieldPassivity:
+def field_passivity(field: Any) -> RestPassivity:
     """Check K >= 0 and symmetric, drag > 0, of the field at rest."""
     K = dense_stiffness(field)
     size = float(np.abs(K).max(initial=0.0))
@@ -166,6 +166,6 @@ def field_passivity(field: Any) -> FieldPassivity:
     asymmetry = float(np.abs(K - K.T).max(initial=0.0)) / max(size, 1e-300)
     rounding = 1e-14 * len(K)
     drag = float(field.drag)
-    return FieldPassivity(
+    return RestPassivity(
         drag, softest, asymmetry, softest >= -rounding and asymmetry <= rounding and drag > 0
     )

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from cellsys.population.forms import Block
 from cellsys.population.graph import InteractionGraph
-from cellsys.population.split import DOUBTFUL, EPS, FieldSplit
+from cellsys.population.printed.blocks import ModeBlock
+from cellsys.population.printed.split import DOUBTFUL, EPS, FieldSplit
 
 
 def dense_block(
     form: Any, split: FieldSplit, A: np.ndarray, graph: InteractionGraph, *, drop: bool = False
-) -> Block:
+) -> ModeBlock:
     """The whole system as one block of size K m, z = T x, x' = M x + G f.
 
     A pseudo-inverse does not survive an oblique transform, so N = I + w (x) P is decomposed as a
@@ -38,7 +38,7 @@ def dense_block(
     X = N if extra is None else N + np.kron(w, extra @ split.P)
     if not form.inverted():
         kept = np.ones(K * m, bool)
-        return Block(np.nan, X @ isolated, eye, eye, X, eye, kept, np.zeros(0), False, 1.0)
+        return ModeBlock(np.nan, X @ isolated, eye, eye, X, eye, kept, np.zeros(0), False, 1.0)
     U, s, Vt = sla.svd(N)
     # The rounding of N itself bounds what its singular values can tell.
     zero = max(split.tol**2, K * m * EPS * max(float(s[0]), 1.0))
@@ -47,14 +47,14 @@ def dense_block(
     smallest = float(s[keep].min(initial=1.0))
     if keep.all() and extra is None:
         inverse = (Vt.T / s) @ U.T
-        return Block(np.nan, isolated, N, inverse, eye, eye, keep, doubtful, True, smallest)
+        return ModeBlock(np.nan, isolated, N, inverse, eye, eye, keep, doubtful, True, smallest)
     scale = np.where(keep, s, 1.0)
     # Rows of T^-1 X: those of V^T plus the correction by R - I, without the cancellation of N N^-1.
     top = Vt * keep[:, None]
     if extra is not None:
         top = top + (U.T @ np.kron(w, extra @ split.P)) / scale[:, None]
     M = (top @ isolated @ Vt.T) * keep
-    return Block(
+    return ModeBlock(
         np.nan, M, U * scale, U.T / scale[:, None], top, keep[:, None] * Vt, keep, doubtful,
         bool(keep.all()) and extra is None, smallest,
     )  # fmt: skip

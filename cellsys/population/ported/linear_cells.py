@@ -1,18 +1,8 @@
-"""`LoadPorts`: cells coupled by loads through one shared matrix field.
-
-    field   C_e q' = -K q + sum_k E_k^T f_k          y_k = E_k q'
-    cell k  z_k' = A z_k + b + B u_k + C y_k         f_k = F z_k
-
-Superposing loads on one field is exact where it is linear; superposing isolated displacements is
-not. Each cell has its own E_k, so distance, boundary and neighbours come in by themselves. If
-every cell is passive at its port and the field is, no sum of them grows, for any K and any
-placement: a certificate, not a simulation.
-[notes: theory, load ports] [notes: theory, passivity]
-"""
+"""Linear cells on one shared field: poles, certificate, plant, runs."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -20,122 +10,21 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.arguments import checked
-from cellsys.contracts import Integrator, LoadPort, MatrixField
+from cellsys.contracts import Integrator
 from cellsys.drawable import Drawable
-from cellsys.errors import BudgetError, DimensionError, ParameterError, RepresentationError
+from cellsys.errors import BudgetError
 from cellsys.loop import PolarityLaw
-from cellsys.model import LatentModel, StiffnessSensor
-from cellsys.population.field_sensor import FieldSensor
-from cellsys.population.footprint import (
-    FieldPassivity,
-    PatchPort,
+from cellsys.population.poleset import PoleSet, pole_set
+from cellsys.population.ported.footprint import (
+    RestPassivity,
     dense_stiffness,
     field_passivity,
 )
-from cellsys.population.graph import check_positions
-from cellsys.population.poleset import PoleSet, pole_set
-from cellsys.population.ports import CellPort, PortPassivity
+from cellsys.population.ported.placement import Placement
+from cellsys.population.ported.ports import CellPort, PortPassivity
 from cellsys.population.verdict import CoupledStability, judge
-from cellsys.units import real_array
 
 DENSE_LIMIT = 4000
-
-
-@checked
-@dataclass(frozen=True, eq=False)
-class LoadPorts:
-    """Coupling of K cells by loads on one shared field.
-
-    Parameters
-    ----------
-    field : GalerkinField, full field or LinearField
-        Anything with order, drag, stiffness, nodes, surface, project.
-    positions : (K, 2) or (K, 3)
-        um.
-    headings : (K,), optional
-        rad; default 0.
-    port : PatchPort or other, optional
-        Gives E_k = gather(field, position, heading); default a patch of 8 um, in the plane. An
-        equivariant model brings its own.
-    allow_active : bool
-        Compute with a port of passivity index below -1e-10 instead of refusing it.
-    """
-
-    field: MatrixField
-    positions: np.ndarray
-    headings: np.ndarray | None = None
-    port: LoadPort | None = None
-    allow_active: bool = False
-    name: ClassVar[str] = "LoadPorts"
-
-    def __post_init__(self) -> None:
-        x = check_positions(self.positions)
-        theta = np.zeros(len(x)) if self.headings is None else real_array(self.headings, "headings")
-        if theta.shape != (len(x),) or not np.all(np.isfinite(theta)):
-            raise DimensionError(f"headings must be {len(x)} finite angles in rad")
-        object.__setattr__(self, "positions", x)
-        object.__setattr__(self, "headings", theta)
-
-    def assemble_cells(
-        self,
-        model: LatentModel | CellPort,
-        sizes: dict[str, int],
-        *,
-        controller: PolarityLaw | None = None,
-        sensor: StiffnessSensor | FieldSensor | None = None,
-        normalise: bool = True,
-    ) -> Any:
-        """Put cells at the ports; called by `couple`."""
-        sizes = {**sizes, "LoadPorts.positions": len(self.positions)}
-        if len(set(sizes.values())) > 1:
-            raise DimensionError(f"numbers of cells differ: {sizes}")
-        if hasattr(model, "dynamics"):
-            return self._equivariant(model, controller, sensor, normalise)
-        if not isinstance(model, CellPort):
-            raise RepresentationError(
-                f"LoadPorts needs a cell with a load port, and a {type(model).__name__} has none; "
-                "use a CellPort or an Equivariant model"
-            )
-        here = replace(self, port=PatchPort()) if self.port is None else self
-        if model.n_loads != here.port.n_loads:
-            raise DimensionError(
-                f"the cell has {model.n_loads} loads, its port on the matrix {here.port.n_loads}"
-            )
-        if sensor is not None:
-            model = replace(model, sensor=sensor)
-        cells = PortedCells(model, here, controller, normalise)
-        here.check_port(cells.passivity)
-        return cells
-
-    def check_port(self, passivity: PortPassivity) -> None:
-        """Refuse an active port, with the reason.
-
-        Raises
-        ------
-        ParameterError
-            When the index is below -1e-10 and `allow_active` is not set.
-        """
-        if passivity.active and not self.allow_active:
-            raise ParameterError(
-                f"the velocity input C makes the port active: passivity index "
-                f"{passivity.index:.2g} at {passivity.frequency:.3g} rad/s, bound -1e-10; freely "
-                "fitted inputs become unstable from some number of cells on "
-                "[notes: measurements, free ports]. Use "
-                "CellPort.collocated(...), or allow_active=True to compute all the same"
-            )
-
-    def _equivariant(self, model: Any, controller: Any, sensor: Any, normalise: bool) -> Any:
-        from cellsys.population.equivariant_cells import EquivariantCells
-        from cellsys.population.field_sensor import standing_on
-
-        if self.port is not None:
-            raise ParameterError("an equivariant model has its own port; leave port= out")
-        sensor = standing_on(self.field, model.sensor if sensor is None else sensor)
-        if controller is not None and sensor is None:
-            raise ParameterError("a controller needs a sensor; the model has none, pass sensor=")
-        cells = EquivariantCells(model, self, controller, sensor, normalise)
-        self.check_port(cells.frozen().passivity)
-        return cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,14 +34,14 @@ class PortCertificate:
     Attributes
     ----------
     cell : PortPassivity
-    field : FieldPassivity
+    field : RestPassivity
     strict : float
         How fast the free cell at least contracts in its metric, 1/s (or 1 - |A|_P^2 per step); > 0
         means bounded under bounded inputs.
     """
 
     cell: PortPassivity
-    field: FieldPassivity
+    field: RestPassivity
     strict: float
 
     @property
@@ -177,7 +66,7 @@ class PortedCells(Drawable):
     """
 
     model: CellPort
-    coupling: LoadPorts
+    coupling: Placement
     controller: PolarityLaw | None = None
     normalise: bool = True
 
@@ -386,7 +275,7 @@ class PortedCells(Drawable):
         `CoupledCells.simulate`. Cells with a step: one exchange at the midpoint per step, on
         the grid of dt, commands held over each.
         """
-        from cellsys.population.ported_run import run_ported
+        from cellsys.population.ported.ported_run import run_ported
 
         return run_ported(self, t, integrator, z0, p0, q0)
 

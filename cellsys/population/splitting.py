@@ -1,4 +1,4 @@
-"""Runs of coupled cells: exact linear flow, every cell its own controller and sensor.
+"""Exact-flow splitting: many cells, each with its controller and sensor, over one linear flow.
 
 With commands c(p) and sensed directions d(z) the whole is
 
@@ -12,7 +12,6 @@ controls the step. [Hairer, Lubich, Wanner 2006, II.4, V.2; Deuflhard 1983]
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Callable
 from typing import Any
 
@@ -20,145 +19,11 @@ import numpy as np
 
 from cellsys.errors import IntegrationError, ParameterError
 from cellsys.integrate.estimate import estimate_by, estimate_of
-from cellsys.integrate.simulate import check_times, simulate
-from cellsys.loop.loop_system import model_error
 from cellsys.population.headings import commands, sensed, turn
-from cellsys.population.propagators import Propagators
-from cellsys.population.system import coupled_system, initial, rest_offset
-from cellsys.store.memory import check_memory
-from cellsys.system import Block, Layout
-from cellsys.trajectory import ErrorEstimate, Trajectory
+from cellsys.trajectory import ErrorEstimate
 
 _LARGEST = 1e100  # growth over the start at which a run is reported as unstable
 _HALVINGS = 40
-
-
-def run(
-    cells: Any, t: Any, integrator: Any, z0: Any, p0: Any, progress: Any = None
-) -> Trajectory:
-    """Simulate `CoupledCells`; see `CoupledCells.simulate`."""
-    times = check_times(t)
-    if cells.modes is None:
-        return _through_system(cells, times, integrator, z0, p0)
-    K, m, loop = cells.n_cells, cells.order, cells.loop
-    z, p = initial(cells, z0, p0)
-    width = K * (m + (3 if loop is not None else 0))
-    need = 8.0 * len(times) * (width + (6 * K if loop is not None else 0))
-    check_memory(need, f"{len(times)} samples of {K} cells need", "sample less often")
-
-    def march(
-        integrator: Any, times: np.ndarray, progress: Any = None
-    ) -> tuple[np.ndarray, Any, Any, dict[str, Any]]:
-        """States (T, width), headings, directions and statistics."""
-        moving = SplitRun(cells, flow, loop, flow.start(z), p, integrator)
-        T = len(times)
-        states = np.empty((T, width))
-        headings, directions = (
-            (np.empty((T, K, 3)), np.empty((T, K, 3))) if loop is not None else (None, None)
-        )
-        for k in range(T):
-            if k:
-                moving.advance(float(times[k - 1]), float(times[k]))
-            states[k, : K * m] = flow.emergent(moving.x).ravel()
-            if loop is not None:
-                states[k, K * m :] = moving.p.ravel()
-                headings[k], directions[k] = moving.p, moving.direction()
-            if progress is not None:
-                progress(k / max(T - 1, 1))
-        return states, headings, directions, moving.statistics
-
-    began, flow = clock.perf_counter(), ModalFlow(cells)
-    states, headings, directions, statistics = march(integrator, times, progress)
-    return Trajectory(
-        times,
-        states,
-        _layout(cells),
-        p=headings,
-        d=directions,
-        statistics={**statistics, "wall_time": clock.perf_counter() - began},
-        label=f"{K} coupled cells, {cells.coupling.name}",
-        estimator=split_estimate(
-            loop, integrator, times, states, lambda second, times: march(second, times)[0]
-        ),
-        model_error=model_error(cells.model),
-    )
-
-
-def split_estimate(
-    loop: Any, integrator: Any, times: np.ndarray, x: np.ndarray, states: Callable
-) -> Callable[[], ErrorEstimate]:
-    """Estimate of a `SplitRun` of states x (T, n); ``states(integrator, times)`` runs it again.
-
-    Without controllers its flow is exact and what differs in two flows for one is rounding.
-    """
-    if loop is not None:
-        return estimate_of(integrator, x, lambda second: states(second, times), None)
-    halves = np.sort(np.concatenate([times, 0.5 * (times[1:] + times[:-1])]))
-    return estimate_by(x, lambda: states(integrator, halves)[::2], "exact flow, two for one")
-
-
-def _layout(cells: Any) -> Layout:
-    blocks = [Block("z", (cells.n_cells, cells.order))]
-    if cells.loop is not None:
-        blocks.append(Block("p", (cells.n_cells, 3), "1", "controller", "internal"))
-    return Layout(blocks)
-
-
-def _through_system(cells: Any, times: np.ndarray, integrator: Any, z0: Any, p0: Any) -> Trajectory:
-    """Dense and matrix-free routes: the integrator works on the whole system."""
-    if integrator is None:
-        raise ParameterError(
-            f"the route of these cells is {cells.route}; simulate() needs an integrator there "
-            "(DOP853, Radau or LSODA)"
-        )
-    system = coupled_system(cells, z0, p0)
-    K, m = cells.n_cells, cells.order
-
-    def states(run: Trajectory) -> np.ndarray:
-        z = np.array([system.whole.read(row[: K * m].reshape(K, m)).ravel() for row in run.x])
-        return np.column_stack([z, run.x[:, K * m :]])
-
-    def again(second: Any) -> np.ndarray:
-        return states(simulate(system, second, times, auxiliaries=False))
-
-    found = simulate(system, integrator, times, auxiliaries=False)
-    x = states(found)
-    return Trajectory(
-        times,
-        x,
-        _layout(cells),
-        p=found.p,
-        d=found.d,
-        events=found.events,
-        statistics=found.statistics,
-        label=f"{K} coupled cells, {cells.coupling.name}",
-        estimator=estimate_of(integrator, x, again, None),
-        model_error=model_error(cells.model),
-    )
-
-
-class ModalFlow(Propagators):
-    """Propagators with the read-outs of emergent states and of the sensor."""
-
-    def __init__(self, cells: Any) -> None:
-        super().__init__(cells)
-        self.offset = rest_offset(cells)
-        if cells.loop is not None:
-            S = cells.loop.sensor.S_d
-            self.reader = S @ self.T
-            self.shift = self.offset @ S.T
-
-    def start(self, z: np.ndarray) -> np.ndarray:
-        """Modal x of isolated latent states (K, m)."""
-        return self.act(self.D, self.to_modes(z))
-
-    def emergent(self, x: np.ndarray) -> np.ndarray:
-        """z (K, m)."""
-        return self.to_cells(self.act(self.T, x)) + self.offset
-
-    def sense(self, x: np.ndarray) -> np.ndarray:
-        """S_d z (K, 3)."""
-        return self.to_cells(self.act(self.reader, x)) + self.shift
 
 
 class SplitRun:
@@ -168,7 +33,7 @@ class SplitRun:
     ----------
     cells : CoupledCells or PortedCells
         For its name, number and growth rate in an error.
-    flow : ModalFlow or PortFlow
+    flow : EmergentFlow or PortFlow
         flow(x, c, h), sense(x), n_inputs.
     loop : ClosedLoop or None
     x, p : array, (K, 3)
@@ -281,6 +146,19 @@ class SplitRun:
         raise IntegrationError(
             reason, time=t1, state_norm=size if np.isfinite(size) else np.inf, step=t1 - t0
         )
+
+
+def split_estimate(
+    loop: Any, integrator: Any, times: np.ndarray, x: np.ndarray, states: Callable
+) -> Callable[[], ErrorEstimate]:
+    """Estimate of a `SplitRun` of states x (T, n); ``states(integrator, times)`` runs it again.
+
+    Without controllers its flow is exact and what differs in two flows for one is rounding.
+    """
+    if loop is not None:
+        return estimate_of(integrator, x, lambda second: states(second, times), None)
+    halves = np.sort(np.concatenate([times, 0.5 * (times[1:] + times[:-1])]))
+    return estimate_by(x, lambda: states(integrator, halves)[::2], "exact flow, two for one")
 
 
 def _tolerances(integrator: Any, loop: Any) -> tuple[float, float, float | None]:

@@ -23,11 +23,11 @@ from cellsys.loop import PolarityLaw
 from cellsys.loop.loop_system import model_error
 from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.mechanics.geometry.surface import convex_triangles
-from cellsys.population.field_sensor import FieldSensor
 from cellsys.population.headings import turn
-from cellsys.population.load_ports import PortedCells
-from cellsys.population.polar import frozen_port, polar_gather
 from cellsys.population.poleset import PoleSet
+from cellsys.population.ported.field_sensor import FieldSensor
+from cellsys.population.ported.linear_cells import PortedCells
+from cellsys.population.ported.polar import frozen_port, polar_gather
 from cellsys.population.verdict import CoupledStability
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory

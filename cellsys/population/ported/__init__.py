@@ -1,0 +1,1 @@
+"""Cells coupled by loads through ports on one shared field."""

@@ -1,0 +1,1 @@
+"""The printed ways to couple cells, through the rows of V that belong to the matrix."""
