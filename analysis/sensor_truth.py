@@ -22,7 +22,7 @@ import numpy as np
 import cellsys as cs
 from cellsys.cell.certificate import moments_of
 from cellsys.cell.records import read_records
-from cellsys.scene.scene import Gradient
+from cellsys.scene.parts import Gradient
 
 SCENE = Path(__file__).parents[1] / "examples" / "spreading.toml"
 STARTS = (120.0, -60.0, 200.0, 20.0)

@@ -15,8 +15,9 @@ from cellsys.mechanics.spreading import CellSpec, SpreadingSystem, build_spreadi
 from cellsys.scene.chain import ChainScene
 from cellsys.scene.memory import check_scene_memory
 from cellsys.scene.memory import matrix_nodes as matrix_nodes
+from cellsys.scene.parts import MatrixScene
 from cellsys.scene.registry import EFFECTS
-from cellsys.scene.scene import MatrixScene, Scene
+from cellsys.scene.scene import Scene
 
 START_GAP = 0.05  # um between the lowest point of a cell and the top of the matrix
 

@@ -23,8 +23,8 @@ from cellsys.mechanics.contact import touching, until_contact
 from cellsys.scene.build import build
 from cellsys.scene.chain import METHOD, ChainScene
 from cellsys.scene.executors import executor_of, gather
+from cellsys.scene.load import scene_from_plain
 from cellsys.scene.memory import check_mapping, check_scene_memory, memory_need
-from cellsys.scene.parse import scene_from_plain
 from cellsys.scene.scene import Scene
 from cellsys.scene.workers import Workers, end_with_parent, one_thread
 from cellsys.store.processor import processor_kind

@@ -10,7 +10,7 @@ import numpy as np
 
 from cellsys.mechanics.crawler import CrawlerSystem
 from cellsys.scene.build import build
-from cellsys.scene.parse import load_scene
+from cellsys.scene.load import load_scene
 from cellsys.scene.registry import EFFECTS
 from cellsys.scene.timing import effect_of, time_shares
 

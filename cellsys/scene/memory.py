@@ -17,7 +17,8 @@ from cellsys.integrate.simulate import SEGMENT
 from cellsys.mechanics.geometry.disc import DENSITY
 from cellsys.mechanics.geometry.membrane import NODES
 from cellsys.scene.chain import ChainScene
-from cellsys.scene.scene import MatrixScene, Scene
+from cellsys.scene.parts import MatrixScene
+from cellsys.scene.scene import Scene
 from cellsys.store.memory import check_memory, mapping_room, resident, size_text
 
 PROGRAM = 215e6  # interpreter, libraries, and the machine code of the laws

@@ -1,4 +1,4 @@
-"""Scene files: TOML in, `Scene` out; every unknown key refused with the nearest known one."""
+"""Scene files as the arguments of `Scene`; unknown keys are refused with the nearest known one."""
 
 from __future__ import annotations
 
@@ -12,19 +12,11 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from cellsys.arguments import checked
 from cellsys.errors import CellsysError, ParameterError, SceneError
 from cellsys.mechanics.commands import Commands, History
-from cellsys.mechanics.crawler import Crawler
 from cellsys.mechanics.effects.protocol import Effect
-from cellsys.scene.chain import ChainScene, ChainSceneTable, chain_parts
-from cellsys.scene.inherit import find_scene, inherited, read_table
+from cellsys.scene.chain import ChainSceneTable, chain_parts
+from cellsys.scene.inherit import inherited
+from cellsys.scene.parts import CellScene, Gradient, Inclusion, MatrixScene, Training
 from cellsys.scene.registry import Registry
-from cellsys.scene.scene import (
-    CellScene,
-    Gradient,
-    Inclusion,
-    MatrixScene,
-    Scene,
-    Training,
-)
 from cellsys.scene.schema import for_editors
 from cellsys.scene.tables import (
     CommandsTable,
@@ -53,42 +45,13 @@ def scene_schema(effects: Iterable[type[Effect]] = ()) -> dict[str, Any]:
     return for_editors(TypeAdapter(kinds["disc"] | kinds["chain"]).json_schema())
 
 
-@checked
-def load_scene(path: str | Path, *, effects: Iterable[type[Effect]] = ()) -> Scene:
-    """Read a scene file (TOML), or a preset by its name.
-
-    Parameters
-    ----------
-    path : path or str
-        A file, or one of `cellsys.scene.preset_names()`; a file of that name comes first.
-    effects : iterable of Effect classes
-        Effects of your own that the scene may name.
-
-    Raises
-    ------
-    SceneError
-        With the file's name, the key, the value and the cure.
-    FileNotFoundError
-        When there is neither such a file nor such a preset.
-    """
-    source = find_scene(path)
-    table = read_table(source)
-    try:
-        return parse_scene(table, effects=effects, folder=source.parent)
-    except SceneError as error:
-        raise SceneError(f"{source.name}: {error}") from error
-
-
-def parse_scene(
+def scene_fields(
     table: Mapping[str, Any],
     *,
     effects: Iterable[type[Effect]] = (),
     folder: Path | None = None,
-) -> Scene:
-    """A `Scene` from a mapping shaped like a scene file; see `load_scene` for the errors.
-
-    `folder` is where a file named by ``extends`` is looked for; default the working directory.
-    """
+) -> dict[str, Any]:
+    """Arguments of `Scene` from a mapping shaped like a scene file; see `parse_scene`."""
     table = inherited(table, Path() if folder is None else folder)
     matrix = table.get("matrix")
     kind = "chain" if isinstance(matrix, Mapping) and matrix.get("kind") == "chain" else "disc"
@@ -119,7 +82,7 @@ def _named_effects(table: Mapping[str, Any]) -> list[str]:
     return [name for name in names if isinstance(name, str)]
 
 
-def _scene(parsed: Any, registry: Registry) -> Scene:
+def _scene(parsed: Any, registry: Registry) -> dict[str, Any]:
     for name, value, least in (
         ("seed", parsed.seed, 0),
         ("training.runs", parsed.training.runs, 1),
@@ -127,7 +90,7 @@ def _scene(parsed: Any, registry: Registry) -> Scene:
     ):
         if value < least:
             raise SceneError(f"{name} must be >= {least}, got {value}")
-    return Scene(
+    return dict(
         name=parsed.name,
         duration=parsed.duration,
         sample=parsed.sample,
@@ -151,9 +114,9 @@ def _scene(parsed: Any, registry: Registry) -> Scene:
     )
 
 
-def _chain_scene(parsed: Any, registry: Registry) -> Scene:
+def _chain_scene(parsed: Any, registry: Registry) -> dict[str, Any]:
     matrix, cells = chain_parts(parsed)
-    return Scene(
+    return dict(
         name=parsed.name,
         duration=parsed.duration,
         sample=parsed.sample,
@@ -225,69 +188,4 @@ def _commands(table: CommandsTable) -> Commands:
     return Commands(
         None if table.heading is None else _as_history(table.heading),
         None if table.amplitude is None else _as_history(table.amplitude),
-    )
-
-
-def scene_from_plain(
-    table: Mapping[str, Any], *, effects: Iterable[type[Effect]] = ()
-) -> Scene:
-    """A scene from what `Scene.canonical` gave (values in internal units).
-
-    `effects` are those of a script that the scene names.
-    """
-    registry = Registry(effects)
-
-    def history(value: Any) -> History | None:
-        return None if value is None else History(tuple(value["times"]), tuple(value["values"]))
-
-    def commands(value: Any) -> Commands | None:
-        if value is None:
-            return None
-        return Commands(history(value["heading"]), history(value["amplitude"]))
-
-    def made(values: Mapping[str, Any]) -> dict[str, Effect]:
-        return {name: effect(given) for name, given in values.items()}
-
-    def effect(given: Mapping[str, Any]) -> Effect:
-        fields = {k: v for k, v in given.items() if k not in ("effect", "origin")}
-        if isinstance(fields.get("history"), Mapping):
-            fields["history"] = history(fields["history"])
-        if "patches" in fields:
-            fields["patches"] = tuple(effect(p) for p in fields["patches"])
-        return registry[given["effect"]](**fields)
-
-    matrix = table["matrix"]
-    chain = matrix is not None and matrix["kind"] == "chain"
-    if chain:
-        matrix = ChainScene(**matrix)
-    elif matrix is not None:
-        inclusion, gradient = matrix["inclusion"], matrix["gradient"]
-        if inclusion is not None:
-            inclusion = Inclusion(**{**inclusion, "center": tuple(inclusion["center"])})
-        gradient = None if gradient is None else Gradient(**gradient)
-        matrix = MatrixScene(**{**matrix, "inclusion": inclusion, "gradient": gradient})
-    cells = tuple(
-        Crawler(**c)
-        if chain
-        else CellScene(
-            tuple(c["position"]),
-            c["polarity"],
-            c["radius"],
-            made(c["effects"]),
-            commands(c["commands"]),
-        )
-        for c in table["cells"]
-    )
-    return Scene(
-        name=table["name"],
-        duration=table["duration"],
-        sample=table["sample"],
-        effects=made(table["effects"]),
-        cells=cells,
-        matrix=matrix,
-        commands=commands(table["commands"]) or Commands(),
-        training=Training(**table["training"]),
-        seed=table["seed"],
-        step=table["step"],
-        until=table.get("until"),
     )

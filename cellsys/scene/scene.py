@@ -5,18 +5,21 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.errors import SceneError
+from cellsys.errors import CellsysError, SceneError
 from cellsys.kinds import Seed
 from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.crawler import Crawler
 from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.chain import ChainScene, check_chain
 from cellsys.scene.compatibility import check_effects
+from cellsys.scene.parse import scene_fields
+from cellsys.scene.parts import CellScene, MatrixScene, Training
 from cellsys.scene.registry import source_of
 from cellsys.scene.sampling import intervals
 from cellsys.store.hashing import fingerprint
@@ -32,88 +35,6 @@ _MATRIX = {
 }
 _RADIUS = (0.01, 1e3)
 _SPARSEST = 100.0  # um between neighbouring nodes: far apart, no cell touches any
-
-
-@dataclass(frozen=True)
-class Inclusion:
-    """A round stiff (factor > 1) or soft spot: centre and radius in um."""
-
-    center: tuple[float, float]
-    radius: float
-    factor: float
-
-
-@dataclass(frozen=True)
-class Gradient:
-    """Stiffness rising along `direction` (rad) by the share `per_um` of its mean per um."""
-
-    direction: float
-    per_um: float
-
-
-@checked
-@dataclass(frozen=True)
-class MatrixScene:
-    """The matrix: a disc of fibres; lengths um, modulus pN/um^2 (Pa)."""
-
-    kind: str = "disc"
-    diameter: float = 60.0
-    thickness: float = 2.0
-    modulus: float = 5000.0
-    nodes: int | None = None
-    seed: int | None = None
-    inclusion: Inclusion | None = None
-    gradient: Gradient | None = None
-
-
-@checked
-@dataclass(frozen=True)
-class CellScene:
-    """One cell: position of its centre in the plane (um), polarity angle (rad), radius (um)."""
-
-    position: tuple[float, float] = (0.0, 0.0)
-    polarity: float = 0.0
-    radius: float = 8.0
-    effects: Mapping[str, Effect] = field(default_factory=dict)
-    commands: Commands | None = None
-
-
-@checked
-@dataclass(frozen=True)
-class Training:
-    """The ensemble a reduced model is learned from.
-
-    `runs` runs and `held_out` further ones, each of `duration` s sampled every `sample` s.
-    `commands` "constant": headings spread over the circle, the held-out ones between them;
-    "turning": turning headings and varying amplitudes drawn from the scene's seed, the last
-    `loaded` training runs with loads on the matrix besides, every cell up to `scatter` um away
-    from its place along each axis.
-    """
-
-    runs: int = 8
-    held_out: int = 2
-    duration: float = 1500.0
-    sample: float = 5.0
-    commands: str = "constant"
-    loaded: int = 0
-    scatter: float = 0.0
-
-    def __post_init__(self) -> None:
-        intervals(self.duration, self.sample, "training.")
-        if self.commands not in ("constant", "turning"):
-            raise SceneError(
-                f"training.commands must be 'constant' or 'turning', got {self.commands!r}"
-            )
-        if not 0 <= self.loaded <= self.runs:
-            raise SceneError(
-                f"training.loaded must be between 0 and runs = {self.runs}, got {self.loaded}"
-            )
-        if not (np.isfinite(self.scatter) and self.scatter >= 0):
-            raise SceneError(f"training.scatter must be >= 0 um, got {self.scatter!r}")
-        if (self.loaded or self.scatter) and self.commands == "constant":
-            raise SceneError(
-                "training.loaded and training.scatter need training.commands = 'turning'"
-            )
 
 
 @checked
@@ -154,8 +75,6 @@ class Scene:
 
         `effects` are classes of your own that the table may name beside the shipped ones.
         """
-        from cellsys.scene.parse import parse_scene
-
         return parse_scene(table, effects=effects)
 
     def __post_init__(self) -> None:
@@ -311,3 +230,22 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(v) for v in value]
     return value
+
+
+def parse_scene(
+    table: Mapping[str, Any],
+    *,
+    effects: Iterable[type[Effect]] = (),
+    folder: Path | None = None,
+) -> Scene:
+    """A `Scene` from a mapping shaped like a scene file; see `load_scene` for the errors.
+
+    `folder` is where a file named by ``extends`` is looked for; default the working directory.
+    """
+    fields = scene_fields(table, effects=effects, folder=folder)
+    try:
+        return Scene(**fields)
+    except SceneError:
+        raise
+    except CellsysError as error:
+        raise SceneError(str(error)) from error

@@ -17,8 +17,9 @@ from cellsys.kinds import Seed, Whole
 from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.chain import ChainScene
+from cellsys.scene.parts import Training
 from cellsys.scene.registry import EFFECTS
-from cellsys.scene.scene import Scene, Training
+from cellsys.scene.scene import Scene
 
 TURN = np.radians(80.0)  # greatest change of heading at once, rad
 RAMP = 60.0  # s a change of heading or amplitude takes, of the order of 1/kappa

@@ -12,8 +12,7 @@ from typing import Any
 
 from cellsys.errors import SceneError
 from cellsys.scene.inherit import find_scene, inherited, read_table
-from cellsys.scene.parse import parse_scene
-from cellsys.scene.scene import Scene
+from cellsys.scene.scene import Scene, parse_scene
 
 
 def without(scene: Scene, name: str) -> tuple[Scene, tuple[str, ...]]:

@@ -21,7 +21,7 @@ from cellsys.samples import snapshots
 from cellsys.scene import CellScene, ChainScene, Scene, build, run_ensemble, run_scene
 from cellsys.scene.ensemble import read_run
 from cellsys.scene.listing import scene_table
-from cellsys.scene.parse import scene_from_plain
+from cellsys.scene.load import scene_from_plain
 from cellsys.scene.registry import EFFECTS
 from tests.mechanics.scenes import TABLE as DISC
 

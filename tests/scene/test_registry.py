@@ -17,7 +17,7 @@ from cellsys.errors import CellsysError, ParameterError, SceneError
 from cellsys.mechanics.effects import Effect, Element, Port, parameter
 from cellsys.scene import Scene, build, load_scene, preset_names, scene_schema
 from cellsys.scene.inherit import PRESETS
-from cellsys.scene.parse import scene_from_plain
+from cellsys.scene.load import scene_from_plain
 from cellsys.scene.registry import EFFECTS, LISTED, Registry
 from cellsys.scene.variants import read_setting, split_values, variants, with_value, without
 from tests.mechanics.small_scenes import tiny

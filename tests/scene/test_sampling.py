@@ -15,7 +15,7 @@ import cellsys as cs
 from cellsys.errors import DataError, FileFormatError, SceneError
 from cellsys.scene import training_scenes
 from cellsys.scene.ensemble import read_run
-from cellsys.scene.parse import scene_from_plain
+from cellsys.scene.load import scene_from_plain
 from cellsys.study.leave_one_out import leave_one_out
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory

@@ -13,7 +13,7 @@ from cellsys.errors import BudgetError, CellsysError, SceneError
 from cellsys.mechanics.effects.protocol import Element
 from cellsys.scene import Scene, build, load_scene, run_scene, scene_schema, training_scenes
 from cellsys.scene.build import matrix_nodes
-from cellsys.scene.parse import scene_from_plain
+from cellsys.scene.load import scene_from_plain
 from cellsys.scene.registry import EFFECTS
 from tests.mechanics.scenes import TABLE, table
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cellsys as cs
-from cellsys.scene.parse import scene_from_plain
+from cellsys.scene.load import scene_from_plain
 from cellsys.scene.training import AMPLITUDE, TURN
 
 

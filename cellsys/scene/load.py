@@ -1,0 +1,109 @@
+"""Scenes from files, presets by their name and the records of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from cellsys.arguments import checked
+from cellsys.errors import SceneError
+from cellsys.mechanics.commands import Commands, History
+from cellsys.mechanics.crawler import Crawler
+from cellsys.mechanics.effects.protocol import Effect
+from cellsys.scene.chain import ChainScene
+from cellsys.scene.inherit import find_scene, read_table
+from cellsys.scene.parts import CellScene, Gradient, Inclusion, MatrixScene, Training
+from cellsys.scene.registry import Registry
+from cellsys.scene.scene import Scene, parse_scene
+
+
+@checked
+def load_scene(path: str | Path, *, effects: Iterable[type[Effect]] = ()) -> Scene:
+    """Read a scene file (TOML), or a preset by its name.
+
+    Parameters
+    ----------
+    path : path or str
+        A file, or one of `cellsys.scene.preset_names()`; a file of that name comes first.
+    effects : iterable of Effect classes
+        Effects of your own that the scene may name.
+
+    Raises
+    ------
+    SceneError
+        With the file's name, the key, the value and the cure.
+    FileNotFoundError
+        When there is neither such a file nor such a preset.
+    """
+    source = find_scene(path)
+    table = read_table(source)
+    try:
+        return parse_scene(table, effects=effects, folder=source.parent)
+    except SceneError as error:
+        raise SceneError(f"{source.name}: {error}") from error
+
+
+def scene_from_plain(
+    table: Mapping[str, Any], *, effects: Iterable[type[Effect]] = ()
+) -> Scene:
+    """A scene from what `Scene.canonical` gave (values in internal units).
+
+    `effects` are those of a script that the scene names.
+    """
+    registry = Registry(effects)
+
+    def history(value: Any) -> History | None:
+        return None if value is None else History(tuple(value["times"]), tuple(value["values"]))
+
+    def commands(value: Any) -> Commands | None:
+        if value is None:
+            return None
+        return Commands(history(value["heading"]), history(value["amplitude"]))
+
+    def made(values: Mapping[str, Any]) -> dict[str, Effect]:
+        return {name: effect(given) for name, given in values.items()}
+
+    def effect(given: Mapping[str, Any]) -> Effect:
+        fields = {k: v for k, v in given.items() if k not in ("effect", "origin")}
+        if isinstance(fields.get("history"), Mapping):
+            fields["history"] = history(fields["history"])
+        if "patches" in fields:
+            fields["patches"] = tuple(effect(p) for p in fields["patches"])
+        return registry[given["effect"]](**fields)
+
+    matrix = table["matrix"]
+    chain = matrix is not None and matrix["kind"] == "chain"
+    if chain:
+        matrix = ChainScene(**matrix)
+    elif matrix is not None:
+        inclusion, gradient = matrix["inclusion"], matrix["gradient"]
+        if inclusion is not None:
+            inclusion = Inclusion(**{**inclusion, "center": tuple(inclusion["center"])})
+        gradient = None if gradient is None else Gradient(**gradient)
+        matrix = MatrixScene(**{**matrix, "inclusion": inclusion, "gradient": gradient})
+    cells = tuple(
+        Crawler(**c)
+        if chain
+        else CellScene(
+            tuple(c["position"]),
+            c["polarity"],
+            c["radius"],
+            made(c["effects"]),
+            commands(c["commands"]),
+        )
+        for c in table["cells"]
+    )
+    return Scene(
+        name=table["name"],
+        duration=table["duration"],
+        sample=table["sample"],
+        effects=made(table["effects"]),
+        cells=cells,
+        matrix=matrix,
+        commands=commands(table["commands"]) or Commands(),
+        training=Training(**table["training"]),
+        seed=table["seed"],
+        step=table["step"],
+        until=table.get("until"),
+    )
