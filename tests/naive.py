@@ -75,6 +75,7 @@ def grid_margins(A, B, C, D, dt=0.0) -> tuple[float, float, float]:
     A, B, C = (np.atleast_2d(np.asarray(M, float)) for M in (A, B, C))
     poles = np.linalg.eigvals(A).astype(complex)
     size = np.abs(np.log(poles[np.abs(poles) > 1e-6]) / dt if dt else poles)
+    size = size[size > 0] if size.any() else np.ones(1)
     hi = min(10 ** np.ceil(np.log10(size.max())), np.pi / dt if dt else np.inf)
     w = np.geomspace(10 ** np.floor(np.log10(size.min()) - 1), 1.01 * hi, 400)
 

@@ -12,6 +12,7 @@ _PERIODS = 10.0  # that an undamped oscillation is shown for
 _PER_CONSTANT, _PER_PERIOD = 5.0, 12.0  # points
 _LEAST = 500
 _SMALL = np.array([0.1, 0.02, 1.1e-3])  # left two quarters before the end, one, and there
+_FINITE = 600.0  # e-folds that are a double still
 _LADDER = 11  # halvings of the axis at which the impulse response is looked at
 _MOST, _MOST_ENTRIES = 150_000, 20_000_000  # points; points times states times inputs
 
@@ -57,9 +58,22 @@ def automatic_times(system: Realization) -> np.ndarray:
     )
     most = int(np.clip(_MOST_ENTRIES // max(n * system.n_inputs, 1), 2000, _MOST))
     if step:
-        least = 2 if grows.any() else 10
+        least = 10
+        if grows.any():  # two samples of growth, after those that nothing is seen in
+            representable = max(int(_FINITE / (rate.max() * step)), 2)
+            least = min(2 + _dead_samples(b.A, b.B, b.C), representable)
         return step * _instants(fine / step, lives / step, end / step, most, least)
     return _moments(fine, lives, end, most)
+
+
+def _dead_samples(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> int:
+    """Samples after which the input first reaches the output through the states: C A^k B = 0 to
+    rounding until then."""
+    for k in range(len(A)):
+        if np.abs(C @ B).max(initial=0.0) > 1e-12 * sla.norm(C) * sla.norm(B):
+            return k
+        B = A @ (B / max(sla.norm(B), 1e-300))
+    return 0
 
 
 def _moments(fine: np.ndarray, lives: np.ndarray, end: float, most: int) -> np.ndarray:

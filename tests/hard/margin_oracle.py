@@ -83,8 +83,11 @@ class Plant:
         return np.unique(w[(w >= lo) & (w < top)])
 
 
-def section(sign, a, b, rounds=8):
-    """Narrow brackets (a, b) of changes of `sign` tenfold a round; sign(x (c, 9)) -> (c, 9)."""
+def section(sign, a, b, rounds=6):
+    """Narrow brackets (a, b) of changes of `sign` tenfold a round; sign(x (c, 9)) -> (c, 9).
+
+    Brackets are a quarter of their place wide at most: six rounds leave 3e-7 of it.
+    """
     share = np.arange(1, 10) / 10
     at = np.arange(len(a))
     start = sign(np.repeat(a[:, None], 9, axis=1))[:, 0]

@@ -199,10 +199,12 @@ def run(
     seconds: float,
     seed: int = 0,
     say: Callable[[str], None] = print,
+    share: tuple[int, int] = (0, 1),
 ) -> dict[str, Count]:
-    """Try random instances of all cases for so long; counts by family.
+    """Try random instances of all cases for so long; counts by family and by case.
 
     The case that has had the least time so far is next, so that slow ones do not starve the rest.
+    `share`: (which, of how many) processes that draw different instances.
     """
     every = [(family, case) for family, group in cases.items() for case in group]
     counts = {case.name: Count() for _, case in every}
@@ -210,7 +212,7 @@ def run(
     while time.monotonic() < end:
         family, case = min(every, key=lambda item: counts[item[1].name].seconds)
         count = counts[case.name]
-        key = (seed, sum(map(ord, case.name)), count.tried)
+        key = (seed, sum(map(ord, case.name)), share[0] + share[1] * count.tried)
         values = draw(case, key)
         began = time.monotonic()
         result, text = outcome(case, values)

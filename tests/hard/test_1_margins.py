@@ -5,6 +5,7 @@ import pytest
 import scipy.linalg as sla
 
 from cellsys.response import margins
+from tests import naive
 from tests.hard.margin_oracle import Plant, compare
 from tests.hard.stress import SEED, Case, hold
 
@@ -192,4 +193,18 @@ CASES = tuple(Case(name, check_of(name), {"seed": SEED}, oracle=True) for name i
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
 def test_random_loops(case):
-    hold(case, 25)
+    hold(case, 12)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_naive_margins_fail_in_every_family(family):
+    # naive: changes of sign between neighbours of a grid, none below it and a pole is one
+    for seed in range(20):
+        loop = FAMILIES[family](np.random.default_rng(seed))
+        found = margins(loop[:5])
+        gain, phase, _ = naive.grid_margins(*loop[:5])
+        right = (found.gain_margin, abs(found.phase_margin))
+        if not np.allclose((gain, abs(phase)), right, rtol=0.1):
+            compare(Plant(*loop), found)
+            return
+    pytest.fail(f"the naive margins hold in twenty loops of {family}")

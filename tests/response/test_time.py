@@ -280,6 +280,11 @@ def test_default_times_end_before_growth_overflows() -> None:
         t, y = default_axis((np.diag([pole, 0.99]), np.ones((2, 1)), np.ones((1, 2)), 0, 0.1))
         assert np.isfinite(y).all()
         assert len(t) > 2
+    # Growth by exp(7) in less than a sample, after three without any.
+    shift = np.eye(3, k=-1)
+    A = np.block([[shift, np.zeros((3, 1))], [np.eye(1, 3, 2), np.array([[1e4]])]])
+    t, y = default_axis((A, np.eye(4, 1), np.eye(1, 4, 3), 0, 1.0))
+    np.testing.assert_allclose(y, [0, 0, 0, 0, 1, 10001])
 
 
 @pytest.mark.parametrize("damping", [0.1, 1e-2, 1e-4])
