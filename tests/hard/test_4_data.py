@@ -259,7 +259,7 @@ def test_methods_data_and_numbers_that_are_none(value):
     data = one_step_data()
     with pytest.raises(ParameterError, match="method must be a reductor"):
         reduce(data, order=2, method=value)
-    with pytest.raises(ParameterError, match="data must be a Snapshots, made by cs.snapshots"):
+    with pytest.raises(ParameterError, match=r"data must be a Snapshots, made by cs.snapshots"):
         reduce(value, order=2)
     X = np.random.default_rng(0).standard_normal((30, 4))
     for bad in (X + 0j, X.astype(str), [[1, 2], [3]]):
