@@ -9,6 +9,8 @@ the names of its entries.
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -67,7 +69,7 @@ class Block:
     @property
     def size(self) -> int:
         """Number of entries."""
-        return int(np.prod(self.shape, dtype=int))
+        return math.prod(self.shape)
 
     def entry_names(self) -> list[str]:
         """One name per entry, in C order; the last axis of length 3 reads x, y, z."""
@@ -90,9 +92,9 @@ class Layout(Sequence[Block]):
     def __init__(self, blocks: Iterable[Block | str] = ()) -> None:
         self._blocks = tuple(b if isinstance(b, Block) else Block(b) for b in blocks)
         names = [b.name for b in self._blocks]
-        twice = {n for n in names if names.count(n) > 1}
-        if twice:
-            raise ParameterError(f"block names must be unique, got {sorted(twice)} twice")
+        if twice := sorted(n for n, times in Counter(names).items() if times > 1):
+            listed = ", ".join(shown(n) for n in twice[:6]) + ", ..." * (len(twice) > 6)
+            raise ParameterError(f"block names must be unique, got {listed} more than once")
         self._by_name = {b.name: b for b in self._blocks}
         edges = np.concatenate([[0], np.cumsum([b.size for b in self._blocks])]).astype(int)
         self._slices = {

@@ -17,7 +17,7 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError, UnitError
-from cellsys.kinds import Takes
+from cellsys.kinds import Takes, shown
 
 # Exponents of length, force, time, angle, temperature.
 Dimension = tuple[Fraction, Fraction, Fraction, Fraction, Fraction]
@@ -52,9 +52,15 @@ UNITS: dict[str, tuple[float, Dimension]] = dict(_BASE) | {
     for prefix, scale in _PREFIX.items()
 }
 
+_LONGEST = 200  # characters of a quantity: no number and unit need more
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _VALUE = re.compile(rf"^\s*({_NUMBER})\s*(?:/\s*({_NUMBER}))?(?:\s+(.*))?$")
-_FACTOR = re.compile(r"^([A-Za-zµ%]+|1)(?:\^([+-]?\d+))?$")
+_FACTOR = re.compile(r"^([A-Za-zµ%]+|1)(?:\^([+-]?\d))?$")
+
+
+def same_mu(text: str) -> str:
+    """The text with the micro sign wherever it has the Greek letter that looks like it."""
+    return text.replace("\u03bc", "\u00b5")
 
 
 def parse_unit(text: str) -> tuple[float, Dimension]:
@@ -68,6 +74,9 @@ def parse_unit(text: str) -> tuple[float, Dimension]:
         When a factor is not a known unit; the nearest known one is offered.
     """
     factor, exponents = 1.0, list(_dim())
+    if len(text) > _LONGEST:
+        raise UnitError(f"a unit of {len(text)} characters; at most {_LONGEST} are read")
+    text = same_mu(text)
     tokens = re.split(r"\s*([*/])\s*|\s+", text.strip())
     sign = 1
     for token in tokens:
@@ -121,7 +130,7 @@ def real_number(value: Any, name: str) -> float:
         array = np.asarray(value)
         if array.dtype.kind in "iufb" and math.isfinite(array):
             return float(array)
-    raise ParameterError(f"{name} must be a finite real number, got {value!r}")
+    raise ParameterError(f"{name} must be a finite real number, got {shown(value)}")
 
 
 def shaped_array(value: Any, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
@@ -167,8 +176,13 @@ def quantity(
     """
     scale, expected = parse_unit(unit)
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise UnitError(f"{name} must be a quantity such as '1 {unit}', got {value!r}")
+        raise UnitError(f"{name} must be a quantity such as '1 {unit}', got {shown(value)}")
     if isinstance(value, str):
+        if len(value) > _LONGEST:
+            raise UnitError(
+                f"{name} = {shown(value)} has {len(value)} characters; write a quantity such as "
+                f"'1 {unit}' with at most {_LONGEST}"
+            )
         match = _VALUE.match(value)
         if match is None:
             raise UnitError(f"{name} = {value!r} is not a number with a unit such as '1 {unit}'")
@@ -182,7 +196,7 @@ def quantity(
         try:
             number, text = float(value), ""
         except OverflowError as error:
-            raise UnitError(f"{name} has {len(str(value))} digits, beyond 1e308") from error
+            raise UnitError(f"{name} is {shown(value)}, beyond 1e308") from error
     if not math.isfinite(number):
         raise UnitError(f"{name} must be finite, got {value!r}")
     if not text:
@@ -195,4 +209,6 @@ def quantity(
             f"{name} = {value!r} has the wrong dimension; expected a unit like {unit!r}"
         )
     del scale
+    if not math.isfinite(number * factor):
+        raise UnitError(f"{name} = {value!r} is beyond 1e308 in the units used inside")
     return number * factor

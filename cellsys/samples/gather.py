@@ -32,8 +32,8 @@ def snapshots(
     ----------
     runs : sequence
         `Trajectory` objects recorded with auxiliaries; or a user's runs: arrays (T, n), or files
-        ``.npz`` (arrays ``x``, optional ``eta``, ``u``, ``commands``, ``W_x``, ``W_eta``, ``dt``)
-        and ``.csv`` (first column time in s, header with names).
+        ``.npz`` (arrays ``x``, optional ``eta``, ``u``, ``commands``, ``W_x``, ``W_eta``, ``dt``
+        or ``t``, s) and ``.csv`` (header with names, time as ``t [s]``).
     scale : {"none", "block", "column"}
         See `Snapshots`.
     dt : float, optional

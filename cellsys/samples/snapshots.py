@@ -1,7 +1,6 @@
 """Snapshots: samples of the augmented vector [x; eta] of several runs; rows are samples.
 
-Arrays may be memory-mapped: everything here works on blocks of rows, so that a set larger than
-memory can be used.
+Arrays may be memory-mapped: all works on blocks of rows, so that a set may be larger than memory.
 """
 
 from __future__ import annotations
@@ -138,9 +137,10 @@ class Snapshots:
                     rows = read_rows(value, start, start + ROWS)
                     # of NaN neither is true; squares of larger numbers overflow
                     if not (rows.min(initial=0) > -1e100 and rows.max(initial=0) < 1e100):
+                        row, column = np.argwhere(~(np.abs(rows) < 1e100))[0]
                         raise DataError(
-                            f"{name} of run {i} holds NaN or inf (or more than 1e100) near sample "
-                            f"{start}; repair or leave out that run"
+                            f"{name} of run {i} holds NaN or inf (or more than 1e100), at sample "
+                            f"{start + row}, column {column}; repair or leave out that run"
                         )
 
     @property

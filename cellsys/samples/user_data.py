@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,12 +11,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.errors import DataError, DimensionError, FileFormatError, ParameterError
+from cellsys.samples.csv_file import EQUAL, interval, read_csv
 from cellsys.samples.snapshots import RunData, Snapshots
-from cellsys.store.archive import READ_ERRORS, check_growth
+from cellsys.store.archive import READ_ERRORS, check_members
+from cellsys.store.regular import open_regular
 from cellsys.system import Block, Layout
-from cellsys.units import real_array, real_number
-
-_NPZ_KEYS = ("x", "eta", "u", "commands", "W_x", "W_eta", "dt", "t")
+from cellsys.units import real_array, real_number, shaped_array
 
 
 def from_user(
@@ -28,46 +27,46 @@ def from_user(
 ) -> Snapshots:
     """See `cellsys.snapshots`: arrays (T, n), `RunData`, ``.npz`` and ``.csv`` files."""
     data: list[RunData] = []
-    names: list[str] | None = None
-    W_x = W_eta = None
+    names: tuple[str, ...] | None = None
+    said: dict[str, tuple[Any, str]] = {} if dt is None else {"dt": (real_number(dt, "dt"), "dt")}
     for i, run in enumerate(runs):
         if isinstance(run, RunData):
             data.append(run)
             continue
-        if isinstance(run, (str, Path)):
-            path = Path(run)
-            if path.suffix == ".csv":
-                array, step, names = _read_csv(path)
-                data.append(RunData(array, label=path.name))
-            elif path.suffix == ".npz":
-                arrays = _read_npz(path)
-                data.append(
-                    RunData(
-                        arrays["x"],
-                        arrays.get("eta"),
-                        arrays.get("u"),
-                        arrays.get("commands"),
-                        label=path.name,
-                    )
-                )
-                W_x, W_eta = arrays.get("W_x", W_x), arrays.get("W_eta", W_eta)
-                step = float(arrays["dt"].item()) if "dt" in arrays else _interval(arrays, path)
-            else:
-                raise ParameterError(f"run {i}: {path.name!r} is neither .npz nor .csv")
-            if dt is None:
-                dt = step
-            elif step is not None and abs(step - dt) > 1e-9 * dt:
-                raise DataError(f"{path.name} is sampled every {step:g} s, others every {dt:g} s")
+        if not isinstance(run, (str, Path)):
+            try:
+                array = real_array(run, f"run {i}")
+            except DataError as error:
+                raise ParameterError(f"run {i} is not an array of numbers: {error}") from error
+            data.append(RunData(array, label=f"run {i}"))
             continue
-        try:
-            array = real_array(run, f"run {i}")
-        except DataError as error:
-            raise ParameterError(f"run {i} is not an array of numbers: {error}") from error
-        data.append(RunData(array, label=f"run {i}"))
-    if dt is None:
-        raise ParameterError("dt is missing: give the sampling interval in s, dt=...")
-    if np.ndim(data[0].x) != 2:
-        raise DimensionError(f"a run must be (samples, states), got shape {np.shape(data[0].x)}")
+        path = Path(run)
+        kind = path.suffix.lower()
+        if kind == ".csv":
+            table = read_csv(path)
+            data.append(RunData(table.x, label=path.name))
+            found: dict[str, Any] = {"dt": table.step, "names of columns": table.names}
+            names = table.names or names
+        elif kind == ".npz":
+            arrays = _read_npz(path)
+            data.append(RunData(*map(arrays.get, _OF_RUNS), label=path.name))  # type: ignore[arg-type]
+            found = {"dt": _step(arrays, path)} | {k: arrays.get(k) for k in ("W_x", "W_eta")}
+        else:
+            raise ParameterError(f"run {i}: {path.name!r} is neither .npz nor .csv")
+        for what, value in found.items():
+            if value is not None:
+                _agree(said, what, value, path.name)
+    if "dt" not in said:
+        raise ParameterError(_no_interval(data, names))
+    W_x, W_eta = (said[k][0] if k in said else None for k in ("W_x", "W_eta"))
+    for i, each in enumerate(data):
+        for name in _OF_RUNS:
+            value = getattr(each, name)
+            if value is not None and np.ndim(value) != 2:
+                raise DimensionError(
+                    f"{name} of run {i} must be a matrix, one row for a sample or an interval, got "
+                    f"shape {np.shape(value)}; a single column is {name}[:, None]"
+                )
     n = data[0].x.shape[1]
     n_eta = 0 if data[0].eta is None else data[0].eta.shape[1]
     states, order = _blocks(n, blocks, names)
@@ -80,7 +79,7 @@ def from_user(
         tuple(data),
         states,
         Layout([Block("eta", (n_eta,), "1", "component", "rate")] if n_eta else []),
-        real_number(dt, "dt"),
+        said["dt"][0],
         sp.csr_array((n, n)) if W_x is None else sp.csr_array(np.asarray(W_x, float)),
         sp.csr_array((n, n_eta)) if W_eta is None else sp.csr_array(np.asarray(W_eta, float)),
         tuple(f"command[{k}]" for k in range(n_commands)),
@@ -90,13 +89,13 @@ def from_user(
 
 
 def _blocks(
-    n: int, blocks: Mapping[str, Sequence[int]] | None, names: list[str] | None
+    n: int, blocks: Mapping[str, Sequence[int]] | None, names: tuple[str, ...] | None
 ) -> tuple[Layout, np.ndarray | None]:
     if blocks is None:
         if names is not None and len(names) == n:
             return Layout([Block(name) for name in names]), None
         return Layout([Block("x", (n,))]), None
-    order = np.concatenate([np.asarray(list(rows), dtype=int) for rows in blocks.values()])
+    order = np.array([k for rows in blocks.values() for k in rows], dtype=int)
     if sorted(order.tolist()) != list(range(n)):
         raise DimensionError(
             f"blocks must name each of the {n} columns of x exactly once, got {len(order)} indices"
@@ -115,55 +114,83 @@ def _permuted(run: RunData, order: np.ndarray) -> RunData:
     return dataclasses.replace(run, x=np.asarray(run.x)[:, order], u=u)
 
 
+def _agree(said: dict[str, tuple[Any, str]], what: str, value: Any, where: str) -> None:
+    """Keep what one file says of all runs; DataError where another said something else."""
+    if what not in said:
+        said[what] = value, where
+        return
+    before, there = said[what]
+    if what == "dt":
+        if abs(value - before) > EQUAL * before:
+            other = "dt=" if there == "dt" else there
+            raise DataError(
+                f"{where} is sampled every {value:.9g} s, but {other} says {before:.9g} s; give "
+                "the runs of one interval, and dt= in s"
+            )
+    elif not np.array_equal(value, before):
+        raise DataError(f"{where} and {there} have different {what}; one set has the same in all")
+
+
+def _no_interval(data: list[RunData], names: tuple[str, ...] | None) -> str:
+    text = "dt is missing: give the sampling interval in s, dt=... (--dt)"
+    if names is None:
+        return text
+    listed = ", ".join(repr(name) for name in names[:6]) + ", ..." * (len(names) > 6)
+    return (
+        f"{text}. No column is called t or time with its unit, such as 't [ms]': with dt= all of "
+        f"{listed} are states, so leave out those that only count"
+    )
+
+
+_SHAPES = {"x": 2, "eta": 2, "u": 2, "commands": 2, "W_x": 2, "W_eta": 2, "t": 1}
+_OF_RUNS = ("x", "eta", "u", "commands")
+
+
 def _read_npz(path: Path) -> dict[str, np.ndarray]:
-    if not path.exists():
-        raise FileNotFoundError(f"no file {str(path)!r}")
     try:
         # Opened here: np.load leaves the file open when it is not a zip archive after all.
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             archive = np.load(file, allow_pickle=False)
             if not hasattr(archive, "files"):
                 raise FileFormatError(f"{path.name} holds one bare array, not named ones")
-            check_growth(archive, path)
+            check_members(archive, path)
             with archive:
-                read = {k: archive[k] for k in archive.files if k in _NPZ_KEYS}
-            for name, array in read.items():
-                if np.iscomplexobj(array):
-                    raise FileFormatError(f"{path.name}: array {name!r} is complex; give reals")
-            arrays = {k: np.asarray(v, dtype=float) for k, v in read.items()}
-    except FileFormatError:
+                read = {k: archive[k] for k in archive.files if k in ("dt", *_SHAPES)}
+    except (FileFormatError, FileNotFoundError):
         raise
     except READ_ERRORS as error:
         raise FileFormatError(f"{path.name} is not a readable npz file: {error}") from error
-    if "x" not in arrays:
+    if "x" not in read:
         raise FileFormatError(f"{path.name} has no array 'x' (samples, states)")
+    for name, array in read.items():
+        if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+            found = array.dtype.name if isinstance(array, np.ndarray) else "bytes"
+            raise FileFormatError(
+                f"{path.name}: array {name!r} holds {found}; give real numbers, times in s"
+            )
+        if name in _SHAPES and array.ndim != _SHAPES[name]:
+            raise DimensionError(
+                f"{path.name}: array {name!r} must have {_SHAPES[name]} dimensions, got shape "
+                f"{array.shape}"
+            )
+    arrays = {k: np.asarray(v, dtype=float) for k, v in read.items()}
     if "dt" in arrays and arrays["dt"].size != 1:
         raise DimensionError(f"{path.name}: dt must be one number, got {arrays['dt'].shape}")
+    if "t" in arrays and len(arrays["t"]) != len(arrays["x"]):
+        raise DimensionError(
+            f"{path.name}: t has {len(arrays['t'])} times for {len(arrays['x'])} samples of x"
+        )
     return arrays
 
 
-def _interval(arrays: dict[str, np.ndarray], path: Path) -> float | None:
-    if "t" not in arrays:
-        return None
-    steps = np.diff(arrays["t"])
-    if not steps.size or np.ptp(steps) > 1e-6 * steps[0]:
-        raise DataError(f"{path.name}: times must be equally spaced")
-    return float(steps[0])
-
-
-def _read_csv(path: Path) -> tuple[np.ndarray, float, list[str]]:
-    if not path.exists():
-        raise FileNotFoundError(f"no file {str(path)!r}")
-    try:
-        # utf-8-sig: spreadsheets write a byte order mark.
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if row]
-        table = np.array([[float(v) for v in row] for row in rows[1:]])
-    except (ValueError, csv.Error) as error:
-        raise FileFormatError(f"{path.name}: a header and then numbers are needed: {error}") from (
-            error
-        )
-    if table.ndim != 2 or table.shape[0] < 3 or table.shape[1] < 2:
-        raise FileFormatError(f"{path.name}: needs time, at least one column, and three rows")
-    step = _interval({"t": table[:, 0]}, path)
-    return table[:, 1:], float(step or 0.0), [h.strip() for h in rows[0][1:]]
+def _step(arrays: Mapping[str, np.ndarray], path: Path) -> float | None:
+    """Sampling interval of an npz file, s; None where it says none."""
+    said: dict[str, tuple[Any, str]] = {}
+    if "dt" in arrays:
+        _agree(said, "dt", real_number(arrays["dt"].item(), f"{path.name}: dt"), f"{path.name}: dt")
+    if "t" in arrays:
+        times = shaped_array(arrays["t"], f"{path.name}: t", (None,))
+        if len(times) < 3:
+            raise DataError(f"{path.name}: {len(times)} samples; a run needs at least three")
+        _agree(said, "dt", interval(times, path.name), f"{path.name}: t")
+    return said["dt"][0] if said else None

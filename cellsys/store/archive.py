@@ -7,6 +7,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,8 +16,9 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import FileFormatError, ParameterError
-from cellsys.kinds import Takes
+from cellsys.kinds import Takes, shown
 from cellsys.store.atomic import atomic_path
+from cellsys.store.regular import open_regular
 
 _HEADER = "cellsys"
 # What numpy's reader raises on truncated, damaged or foreign files.
@@ -27,6 +29,7 @@ READ_ERRORS = (
     KeyError,
     SyntaxError,
     MemoryError,
+    OverflowError,
     RuntimeError,  # encrypted entries; packed in an unknown way; nested without end
     tokenize.TokenError,
     struct.error,
@@ -73,14 +76,20 @@ def save_archive(
     return target
 
 
-def check_growth(archive: np.lib.npyio.NpzFile, source: Path) -> None:
-    """Refuse an archive that unpacks to far more than its file holds, before it is unpacked.
+def check_members(archive: np.lib.npyio.NpzFile, source: Path) -> None:
+    """Refuse an archive before it is unpacked: with two entries of one name, or far larger inside.
 
     Raises
     ------
     FileFormatError
     """
-    size, packed = sum(i.file_size for i in archive.zip.infolist()), source.stat().st_size
+    entries = archive.zip.infolist()
+    names = Counter(i.filename.removesuffix(".npy") for i in entries)
+    if twice := [name for name, times in names.items() if times > 1]:
+        raise FileFormatError(
+            f"{source.name!r} holds {shown(twice[0])} twice; save its arrays again with numpy.savez"
+        )
+    size, packed = sum(i.file_size for i in entries), source.stat().st_size
     if size > max(_SMALL, _MOST_GROWTH * packed):
         raise FileFormatError(
             f"{source.name!r} has {packed / 1e6:.3g} MB and says it unpacks to {size / 1e6:.3g} "
@@ -126,13 +135,13 @@ def _read(source: Path, arrays: bool = True) -> tuple[dict[str, np.ndarray], dic
     names: dict[str, np.ndarray] = {}
     try:
         # Opened here: np.load leaves the file open when it is not a zip archive after all.
-        with source.open("rb") as file:
+        with open_regular(source) as file:
             archive = np.load(file, allow_pickle=False)
             if not hasattr(archive, "files") or _HEADER not in archive.files:
                 raise FileFormatError(
                     f"{source.name!r} was not written by cellsys: it has no {_HEADER!r} header"
                 )
-            check_growth(archive, source)
+            check_members(archive, source)
             with archive:
                 header = json.loads(str(archive[_HEADER]))
                 if arrays:
