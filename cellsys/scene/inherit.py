@@ -8,14 +8,24 @@ among them, replaces the older one. ``effect = false`` under [effects] takes an 
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from cellsys.arguments import checked
-from cellsys.errors import SceneError
+from cellsys.errors import FileFormatError, SceneError
+from cellsys.kinds import shown
+from cellsys.store.regular import open_regular
 
+_MOST_BYTES = 1e6  # of a scene file: the presets have a few kB
+_MOST_BASES = 32  # scenes that extend each other
+MOST_PARTS = 16  # of a dotted key: tables of a scene lie within five others
+_PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(
+    rf"(?<![A-Za-z0-9_\-.\"']){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_PARTS},}}"
+)
 PRESETS = Path(__file__).parent / "presets"
 
 
@@ -47,13 +57,44 @@ def find_scene(path: str | Path) -> Path:
 def read_table(source: Path) -> dict[str, Any]:
     """The TOML table in a file; SceneError when it cannot be read."""
     try:
-        return tomllib.loads(source.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        with open_regular(source, _MOST_BYTES) as file:
+            text = file.read().decode("utf-8")
+        return parse_toml(text)
+    except (FileFormatError, SceneError) as error:
+        raise SceneError(f"{source.name}: {error}") from error
+    except UnicodeDecodeError as error:
         raise SceneError(f"{source.name}: not a TOML file: {error}") from error
     except OSError as error:
         raise SceneError(f"{source.name}: cannot be read: {error}") from error
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """A TOML text as a table; SceneError where it is none, or too deep, or holds a huge number."""
+    if found := _LONG_KEY.search(text):
+        # The parser takes a time that grows with the square of the parts of a key.
+        line = text.count("\n", 0, found.start()) + 1
+        raise SceneError(f"line {line}: a key of more than {MOST_PARTS} parts")
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"not a TOML file: {error}") from error
+    except ValueError as error:  # a whole number of more digits than Python reads
+        raise SceneError(f"a number that cannot be read: {error}") from error
     except RecursionError as error:
-        raise SceneError(f"{source.name}: nested too deeply") from error
+        raise SceneError("nested too deeply") from error
+    level: list[Any] = [table]
+    for _ in range(MOST_PARTS + 1):
+        level = [entry for value in level for entry in _entries(value)]
+    if level:
+        raise SceneError(f"nested too deeply: tables and lists more than {MOST_PARTS} deep")
+    return table
+
+
+def _entries(value: Any) -> Iterable[Any]:
+    """What a table or a list holds."""
+    if isinstance(value, dict):
+        return value.values()
+    return value if isinstance(value, list) else ()
 
 
 def inherited(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
@@ -76,12 +117,17 @@ def _merged(table: Mapping[str, Any], folder: Path, seen: tuple[Path, ...]) -> d
     if base is None:
         return own
     if not isinstance(base, str) or not base:
-        raise SceneError(f"extends must be a preset or a scene file, got {base!r}")
+        raise SceneError(f"extends must be a preset or a scene file, got {shown(base)}")
     beside = folder / base
     try:
-        source = find_scene(beside if beside.is_file() else base).resolve()
+        source = find_scene(beside if beside.exists() else base).resolve()
     except (OSError, ValueError) as error:
-        raise SceneError(f"extends = {base!r}: {error}") from error
+        raise SceneError(f"extends = {shown(base)}: {error}") from error
+    if len(seen) >= _MOST_BASES:
+        raise SceneError(
+            f"extends = {base!r}: more than {_MOST_BASES} scenes extend each other; put some of "
+            "them into one"
+        )
     if source in seen:
         chain = " -> ".join(path.name for path in (*seen[seen.index(source) :], source))
         raise SceneError(f"extends = {base!r} leads back to itself: {chain}")

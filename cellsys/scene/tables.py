@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import math
 from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, create_model
 
+from cellsys.kinds import shown
 from cellsys.mechanics.commands import History
 from cellsys.mechanics.effects.protocol import Effect
 from cellsys.units import quantity
@@ -203,15 +203,19 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
     return [m for a in getattr(annotation, "__args__", ()) for m in _models(a)]
 
 
+_LONGEST = 60  # characters of a key or a value that a message shows
+
+
 def explain(item: Mapping[str, Any], kinds: Mapping[str, type[Table]], kind: str) -> str:
     """One mistake of a scene file in words; `kinds` are the scene tables by matrix.kind."""
     location = tuple(item["loc"])
     path = ""
     for part in location:
         path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else str(part)
+    path = path if len(path) <= 4 * _LONGEST else f"{path[: 4 * _LONGEST]}..."
     if item["type"] == "extra_forbidden":
         known = _known_keys(location[:-1], kinds[kind])
-        near = difflib.get_close_matches(str(location[-1]), known, 1, 0.5)
+        near = difflib.get_close_matches(str(location[-1])[:_LONGEST], known, 1, 0.5)
         hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
         for other, table in kinds.items():
             if other != kind and location[-1] in _known_keys(location[:-1], table):
@@ -221,7 +225,7 @@ def explain(item: Mapping[str, Any], kinds: Mapping[str, type[Table]], kind: str
         return f"{path} is missing"
     message = item["msg"].removeprefix("Value error, ").removeprefix("value ")
     value = item.get("input")
-    shown = repr(value) if len(repr(value)) < 60 else type(value).__name__
-    if isinstance(value, float) and not math.isfinite(value):
-        shown = f"{value}"
-    return f"{path}: {message} (got {shown})"
+    got = shown(value)
+    if isinstance(value, (list, tuple, dict)) and len(value) < 8 and len(repr(value)) < _LONGEST:
+        got = repr(value)
+    return f"{path}: {message} (got {got})"

@@ -5,14 +5,20 @@ from __future__ import annotations
 import copy
 import dataclasses
 import itertools
+import math
 import tomllib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from cellsys.errors import SceneError
-from cellsys.scene.inherit import find_scene, inherited, read_table
+from cellsys.kinds import shown
+from cellsys.scene.inherit import MOST_PARTS, find_scene, inherited, parse_toml, read_table
 from cellsys.scene.scene import Scene, parse_scene
+
+
+MOST_SCENES = 10_000  # of one sweep: as many take half a minute to be read alone
 
 
 def without(scene: Scene, name: str) -> tuple[Scene, tuple[str, ...]]:
@@ -67,9 +73,12 @@ def split_values(text: str) -> list[str]:
 def read_value(text: str) -> Any:
     """A TOML value, or the text itself: `3` is a number, `100 pN` a string."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
+        table = parse_toml(f"value = {text}")
+    except SceneError as error:
+        if isinstance(error.__cause__, tomllib.TOMLDecodeError):
+            return text
+        raise
+    return table["value"] if len(table) == 1 else text  # two lines with two keys are a text
 
 
 def read_setting(text: str) -> tuple[str, list[str]]:
@@ -84,7 +93,7 @@ def read_setting(text: str) -> tuple[str, list[str]]:
     listed = split_values(values)
     if not (equals and key.strip() and all(listed)):
         raise SceneError(
-            f"--set {text!r} must read key=value,value such as "
+            f"--set {shown(text)} must read key=value,value such as "
             "effects.lamellipodium.force='100 pN,200 pN'"
         )
     return key.strip(), listed
@@ -101,19 +110,25 @@ def with_value(table: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]
     out = copy.deepcopy(dict(table))
     place: Any = out
     parts = key.split(".")
+    if not all(parts) or len(parts) > MOST_PARTS:
+        raise SceneError(
+            f"key {shown(key)} must be 1 to {MOST_PARTS} names between dots, none of them empty"
+        )
     for depth, part in enumerate(parts):
         last = depth == len(parts) - 1
         if isinstance(place, list):
-            if not part.isdigit() or int(part) >= len(place):
+            if not (part.isdecimal() and len(part) < 9 and int(part) < len(place)):
                 raise SceneError(
-                    f"key {key!r}: {'.'.join(parts[:depth])} has entries 0 to {len(place) - 1}, "
-                    f"not {part!r}"
+                    f"key {shown(key)}: {shown('.'.join(parts[:depth]))} has entries 0 to "
+                    f"{len(place) - 1}, not {shown(part)}"
                 )
             index: Any = int(part)
         elif isinstance(place, dict):
             index = part
         else:
-            raise SceneError(f"key {key!r}: {'.'.join(parts[:depth])} is a value, not a table")
+            raise SceneError(
+                f"key {shown(key)}: {shown('.'.join(parts[:depth]))} is a value, not a table"
+            )
         if last:
             place[index] = value
         else:
@@ -143,9 +158,14 @@ def variants(
     source = find_scene(path)
     table = inherited(read_table(source), source.parent)
     keys = [key for key, _ in settings]
-    twice = {key for key in keys if keys.count(key) > 1}
-    if twice:
-        raise SceneError(f"key {sorted(twice)[0]!r} is set twice; list its values once")
+    if twice := sorted(key for key, times in Counter(keys).items() if times > 1):
+        raise SceneError(f"key {shown(twice[0])} is set twice; list its values once")
+    counts = [len(v) for _, v in settings]
+    if math.prod(counts) > MOST_SCENES:
+        raise SceneError(
+            f"{' x '.join(map(str, counts))} values are {math.prod(counts)} combinations, each a "
+            f"run; at most {MOST_SCENES} are taken at once: set fewer keys or values"
+        )
     out = []
     for values in itertools.product(*(v for _, v in settings)):
         changed = table
@@ -156,6 +176,7 @@ def variants(
         try:
             scene = parse_scene(changed, folder=source.parent)
         except SceneError as error:
-            raise SceneError(f"{source.name} with {label}: {error}") from error
+            cut = label if len(label) <= 200 else f"{label[:200]}..."
+            raise SceneError(f"{source.name} with {cut}: {error}") from error
         out.append((chosen, dataclasses.replace(scene, name=f"{scene.name}: {label}")))
     return out
