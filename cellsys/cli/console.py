@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cellsys.cli.ending import say, say_ending
+from cellsys.cli.ending import say_ending
+from cellsys.cli.output import say, show
+from cellsys.printable import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -60,28 +62,33 @@ def progress_bars(quiet: bool) -> Iterator[Any]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description:16s}"), BarColumn(), TimeElapsedColumn())
+    name = TextColumn("{task.description:16s}", markup=False)
+    columns = (name, BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True)) as bars:
         tasks: dict[str, Any] = {}
 
-        def show(stage: str, share: float) -> None:
+        def progress(stage: str, share: float) -> None:
             if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=1.0)
+                tasks[stage] = bars.add_task(printable(stage), total=1.0)
             bars.update(tasks[stage], completed=share)
 
-        yield show
+        yield progress
 
 
 def print_table(title: str, head: list[str], rows: list[list[str]]) -> None:
     """A rich table on standard output."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=title, title_justify="left")
+    def plain(text: str) -> Text:
+        return Text(printable(text))  # rich reads markup in a str
+
+    table = Table(title=plain(title), title_justify="left")
     for k, name in enumerate(head):
-        table.add_column(name, justify="left" if k == 0 else "right")
+        table.add_column(plain(name), justify="left" if k == 0 else "right")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(plain, row))
     Console().print(table)
 
 
@@ -89,4 +96,4 @@ def dump(value: Any) -> None:
     """JSON on standard output; NaN and inf as strings."""
     from cellsys.study.files import plain
 
-    print(json.dumps(plain(value), indent=2, allow_nan=False))
+    show(json.dumps(plain(value), indent=2, allow_nan=False))

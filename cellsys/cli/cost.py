@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cellsys.cli.console import Json, SceneFile, app, dump, print_table
+from cellsys.cli.output import show
 
 
 @app.command()
@@ -55,4 +56,4 @@ def cost(
         ["method", "setting", "error", "time or reason", ""],
         sweep.table(),
     )
-    print(found)
+    show(found)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cellsys.cli.console import Json, ModelFile, app, dump
+from cellsys.cli.output import show
 
 if TYPE_CHECKING:
     from cellsys.population import CoupledCells
@@ -38,7 +40,7 @@ def couple(
     if as_json:
         dump(_table(together, report, poles) | {"model": _verdict(loaded)})
         return
-    print(f"{together}\n{report}\n{poles}\n{_verdict(loaded)}")
+    show(f"{together}\n{report}\n{poles}\n{_verdict(loaded)}")
 
 
 def _couple(
@@ -49,6 +51,7 @@ def _couple(
     from cellsys import population
     from cellsys.errors import FileFormatError, ParameterError
     from cellsys.store.archive import READ_ERRORS
+    from cellsys.store.regular import open_regular
 
     if form not in _FORMS:
         raise ParameterError(f"--form must be one of {', '.join(_FORMS)}, got {form!r}")
@@ -56,8 +59,9 @@ def _couple(
         raise ParameterError("--form mapped needs --map FILE.npy, and the others take none")
     if form == "mapped":
         try:
-            P_map = np.load(map_file, allow_pickle=False)
-        except OSError:
+            with open_regular(Path(map_file)) as file:
+                P_map = np.load(file, allow_pickle=False)
+        except (OSError, FileFormatError):
             raise
         except READ_ERRORS as error:
             raise FileFormatError(f"{map_file!r} is no .npy array: {error}") from error

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from cellsys.cli.console import Json, Quiet, app, dump, print_table, progress_bars
+from cellsys.cli.output import show
 
 USUAL = 300.0  # s of a scene that are run without each effect
 
@@ -82,9 +83,9 @@ def _measure(scene: Path, duration: float | None, as_json: bool, quiet: bool) ->
     if as_json:
         dump({"duration_s": length, "effects": [dataclasses.asdict(w) for w in result]})
         return
-    print(f"{loaded.name}, {length:g} s, without each effect in turn:")
+    show(f"{loaded.name}, {length:g} s, without each effect in turn:")
     for worth in result:
-        print(f"  {worth}")
+        show(f"  {worth}")
 
 
 def _table(title: str, rows: list[dict[str, Any]]) -> None:

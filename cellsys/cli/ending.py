@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
 
+from cellsys.cli.output import say
+
 # Ctrl-C keeps the code of a job that did not come to its end; the others have the shell's.
 CODES = {signal.SIGINT: 1, signal.SIGTERM: 128 + signal.SIGTERM}
 if hasattr(signal, "SIGHUP"):
@@ -90,14 +92,6 @@ def _see_to_it(reader: int) -> None:
             time.sleep(GRACE)
             os._exit(told[0])
     os.close(reader)
-
-
-def say(text: str) -> None:
-    """One line on standard error, if anybody still listens there."""
-    try:
-        print(f"cellsys: {' '.join(text.split())}", file=sys.stderr, flush=True)
-    except (OSError, ValueError):
-        return
 
 
 def say_ending(stop: KeyboardInterrupt, hint: str) -> int:

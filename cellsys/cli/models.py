@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cellsys.cli.console import Json, ModelFile, app, dump
+from cellsys.cli.output import show
 
 if TYPE_CHECKING:
     from cellsys.model import LatentModel
@@ -44,8 +45,8 @@ def reduce(
     if as_json:
         dump(model.card.table())
         return
-    print(model)
-    print(f"written: {path}")
+    show(model)
+    show(f"written: {path}")
 
 
 def _load(path: Path) -> LatentModel:
@@ -76,14 +77,14 @@ def poles(model: ModelFile, as_json: Json = False) -> None:
             result["charges"] = [[p.value.real, p.value.imag, p.charge] for p in labelled]
         dump(result)
         return
-    print(table)
+    show(table)
     for pole in labelled[:12]:
         value = pole.value
-        print(
+        show(
             f"charge {pole.charge}: {value.real: .4g} {value.imag:+.4g}j 1/s, "
             f"{'single' if pole.multiplicity == 1 else 'double by symmetry'}"
         )
-    print(_verdict(loaded))
+    show(_verdict(loaded))
 
 
 def _verdict(model: LatentModel) -> str:
@@ -124,8 +125,8 @@ def bode(
     if as_json:
         dump({**result.table(), "set_apart": len(point.slow)})
         return
-    print(f"{point}\n{result}")
-    print(_verdict(loaded))
+    show(f"{point}\n{result}")
+    show(_verdict(loaded))
 
 
 def _bode_along(
@@ -153,11 +154,11 @@ def _bode_along(
         dump({f"{t:g}": m.table() for t, m in found.items()})
         return
     for t, m in found.items():
-        print(
+        show(
             f"t = {t:6g} s: gain margin {m.gain_margin:.4g} on kappa, phase margin "
             f"{m.phase_margin:.4g} deg, delay margin {m.delay_margin:.4g} s"
         )
-    print(_verdict(model))
+    show(_verdict(model))
 
 
 @app.command()
@@ -180,5 +181,5 @@ def stability(model: ModelFile, as_json: Json = False) -> None:
             }
         )
         return
-    print(report)
-    print(_verdict(loaded))
+    show(report)
+    show(_verdict(loaded))

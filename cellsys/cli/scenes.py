@@ -11,6 +11,7 @@ import typer
 
 from cellsys.cli.console import Json, Quiet, SceneFile, app, dump, progress_bars
 from cellsys.cli.ending import say_ending
+from cellsys.cli.output import note, show
 
 if TYPE_CHECKING:
     from cellsys.scene import Scene
@@ -58,8 +59,8 @@ def run(
     if as_json:
         dump(result.summary)
         return
-    print(result.report())
-    print(f"\nreport: {folder / 'report.html'}")
+    show(result.report())
+    show(f"\nreport: {folder / 'report.html'}")
 
 
 def _within(scene: Path, error: float) -> Scene:
@@ -81,7 +82,7 @@ def _within(scene: Path, error: float) -> Scene:
     found = budget(plan, error=error, setups=[by_step(LinearlyImplicit, STEPS)])
     if not found:
         raise ParameterError(str(found))
-    print(str(found), file=sys.stderr)
+    note(found)
     return dataclasses.replace(plan, step=found.integrator.step)
 
 
@@ -90,4 +91,4 @@ def schema() -> None:
     """JSON schema of scene files, for editors."""
     from cellsys.scene import scene_schema
 
-    print(json.dumps(scene_schema(), indent=2))
+    show(json.dumps(scene_schema(), indent=2))

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from cellsys.cli.console import Json, Quiet, SceneFile, app, dump, print_table, progress_bars
+from cellsys.cli.output import show
 
 
 @app.command()
@@ -55,7 +56,7 @@ def sweep(
         for row, errors in zip(rows, map(read_out_errors, runs), strict=True)
     ]
     print_table(f"{scene.stem} at {len(rows)} settings", head, shown)
-    print(f"table: {folder / 'sweep.csv'}; runs: {folder / 'runs'}")
+    show(f"table: {folder / 'sweep.csv'}; runs: {folder / 'runs'}")
 
 
 def _shown(value: str | float, error: float) -> str:

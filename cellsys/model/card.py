@@ -16,6 +16,9 @@ from typing import Any
 import numpy as np
 
 from cellsys.arguments import checked
+from cellsys.errors import ParameterError
+from cellsys.kinds import shown
+from cellsys.printable import printable
 
 DIVERGED = 1e6  # a relative error beyond this is reported as "diverges"
 
@@ -69,6 +72,15 @@ class Card:
     growth: tuple[float, float] | None = None
     unit: str = "um"
 
+    def __post_init__(self) -> None:
+        for where in ("training", "held_out"):
+            for block, row in getattr(self, where).items():
+                if "model" not in row:
+                    raise ParameterError(
+                        f"{where}[{shown(block)}] must hold the error under 'model', got "
+                        f"{', '.join(map(shown, row)) or 'nothing'}"
+                    )
+
     def table(self) -> dict[str, Any]:
         """Plain values for JSON."""
         growth = None if self.growth is None else [float(np.clip(v, *_SPAN)) for v in self.growth]
@@ -99,7 +111,7 @@ class Card:
             lines += [f"{title:9s} {key}: {_shown(value)}" for key, value in known.items()]
         lines += [f"warning: {text}" for text in self.warnings]
         lines.append(f"verdict: {self.verdict}")
-        return "\n".join(lines)
+        return printable("\n".join(lines))
 
 
 _SPAN = (-float(np.finfo(float).max), float(np.finfo(float).max))

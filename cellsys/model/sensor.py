@@ -47,6 +47,8 @@ class StiffnessSensor:
             raise DimensionError(f"K_d must be (3, 1 + m), got {K_d.shape}")
         if not np.all(np.isfinite(K_d)):
             raise DataError("K_d holds NaN or inf")
+        if np.abs(K_d).max() > 1e150:
+            raise DataError("K_d holds numbers beyond 1e150: their squares are no doubles")
         object.__setattr__(self, "K_d", K_d)
         for name in ("ridge", "training_error", "held_out_error", "constant_error"):
             object.__setattr__(self, name, float(getattr(self, name)))

@@ -10,10 +10,11 @@ import scipy.linalg as sla
 
 from cellsys.arguments import checked
 from cellsys.drawable import Drawable
+from cellsys.errors import DataError
 from cellsys.population.poleset import PoleSet
 from cellsys.response.certainty import PoleCertainty, side, widened
 from cellsys.response.integrators import set_apart
-from cellsys.response.realization import balancing
+from cellsys.response.realization import LARGEST, balancing
 from cellsys.response.spectrum import backward_error, spectrum
 
 
@@ -89,6 +90,12 @@ def judge(
     discrete = dt > 0
     if not len(M):
         return BlockVerdict("stable", -np.inf, 0.0, -np.inf, 0, 0)
+    largest = float(np.abs(M).max())
+    if largest > LARGEST:
+        raise DataError(
+            f"the coupled cells have rates of {largest:.3g}, beyond {LARGEST:g}: their squares are "
+            "no doubles; take another unit of time"
+        )
     balanced, scale = balancing(M)
     names = ("",) * len(M)
     apart, rest = set_apart(balanced, scale, names, None, discrete=discrete)
