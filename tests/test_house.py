@@ -30,10 +30,10 @@ FLOORS = [
     ("samples",),
     ("mechanics",),
     ("bondgraph", "integrate", "response"),
-    ("contracts",),
+    ("contracts", "state_space"),
     ("laws", "store"),
     ("system", "overdamped", "trajectory", "drawable"),
-    ("units", "arguments", "kinds", "errors", "version"),
+    ("units", "arguments", "kinds", "printable", "errors", "version"),
 ]
 FLOOR = {room: height for height, rooms in enumerate(reversed(FLOORS)) for room in rooms}
 # The ground floor and the files of the middle one are single modules that may look at each other

@@ -10,6 +10,7 @@ import numpy as np
 
 from cellsys.bondgraph.state_equations import StateEquations
 from cellsys.errors import DimensionError, NotSymbolicError, ParameterError
+from cellsys.state_space import state_space
 
 
 def linearize(
@@ -50,8 +51,6 @@ def linearize(
     DimensionError
         x0 of another length.
     """
-    import control
-
     S = equations.structure
     x = _point(equations, x0)
     s = np.asarray(equations.laws.sources(t), dtype=float)
@@ -79,11 +78,7 @@ def linearize(
         n = len(C_rows[-1])
         labels += [label] if n == 1 else [f"{label}[{i}]" for i in range(n)]
     inputs = equations.inputs.names
-    if not inputs and x.size == 1:
-        # python-control turns a B of shape (1, 0) into (0, 0): give it a column of zeros.
-        B, inputs = np.zeros((1, 1)), ["none"]
-        D_rows = [np.zeros((len(D), 1)) for D in D_rows]
-    return control.ss(
+    return state_space(
         A,
         B,
         np.vstack(C_rows) if C_rows else np.zeros((0, x.size)),

@@ -18,6 +18,7 @@ from cellsys.field.ports import (
     step_index,
 )
 from cellsys.model.latent import LatentModel
+from cellsys.state_space import state_space
 from cellsys.store.memory import size_text
 from cellsys.system import Block, Layout
 
@@ -63,14 +64,12 @@ class LinearisedField:
         control.StateSpace
             Continuous (dt = 0); passive from f to y = velocity where K >= 0.
         """
-        import control
-
         patterns, names = port_patterns(ports, len(self.nodes))
         E = self.project(patterns)
         K = self._dense_tangent(at, "a plant")
         A, B, C, D = linear_matrices(K, E, self.drag, output)
         letter = "v" if output == "velocity" else "u"
-        return control.ss(
+        return state_space(
             A,
             B,
             C,

@@ -38,6 +38,7 @@ from cellsys.loop.polarity import PolarityLaw
 from cellsys.model.latent import LatentModel
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.samples.commands import harmonic
+from cellsys.state_space import state_space
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 from cellsys.units import real_array
@@ -258,8 +259,6 @@ class ClosedLoop:
         z' = A z + B_u T xi, xi' = kappa v, y = (p*.d*) xi - T^T S_d z. `at` is a
         `Linearisation` or what `linearize` takes.
         """
-        import control
-
         point = at if isinstance(at, Linearisation) else self.linearize(at)
         m = len(point.A_plant)
         A = np.zeros((m + 1, m + 1))
@@ -267,7 +266,7 @@ class ClosedLoop:
         B = np.zeros((m + 1, 1))
         B[m, 0] = point.kappa
         C = np.concatenate([-point.S_heading, [point.strength]])[None]
-        return control.ss(
+        return state_space(
             A,
             B,
             C,

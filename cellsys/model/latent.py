@@ -27,6 +27,7 @@ from cellsys.model.sensor import StiffnessSensor
 from cellsys.model.trained_range import Flag, TrainedRange
 from cellsys.response.certainty import PoleCertainty
 from cellsys.response.roots import RootSet
+from cellsys.state_space import state_space
 from cellsys.system import Layout
 from cellsys.units import real_array, real_number
 
@@ -169,6 +170,8 @@ class LatentModel(Drawable):
             raise ParameterError(
                 f"dt must be > 0 s (or None for a continuous model), got {self.dt!r}"
             )
+        if not real_number(self.notes.get("horizon_s", 1.0), "notes['horizon_s']") > 0:
+            raise ParameterError("notes['horizon_s'] must be > 0 s")
         names = self.input_names
         if names is None:
             names = tuple(f"c[{i}]" for i in range(self.B.shape[1]))
@@ -335,8 +338,6 @@ class LatentModel(Drawable):
         output : (p, m), optional
             Output matrix; default the latent states themselves.
         """
-        import control
-
         if discrete and self.dt is None:
             raise ParameterError("a continuous model has no step of its own; use control.c2d")
         if discrete:
@@ -351,7 +352,7 @@ class LatentModel(Drawable):
             outputs = list(output_names)
         else:
             outputs = states if output is None else [f"y[{i}]" for i in range(len(C))]
-        return control.ss(
+        return state_space(
             A,
             B,
             C,

@@ -52,7 +52,7 @@ def couple(
         um; kept with the result. The printed forms know no distance: give
         ``graph=InteractionGraph.attenuated(positions, length)`` for that.
     headings : (K,), optional
-        Polarity angles at the start, rad; default 0.
+        Polarity angles at the start, rad; default 0. As a controller, for a model with a sensor.
     controller, sensor, normalise
         As in `closed_loop`, the same for every cell.
 
@@ -98,5 +98,5 @@ def couple(
     coupling.extra(model.order)
     if headings is not None and (headings.shape != (K,) or not np.all(np.isfinite(headings))):
         raise DimensionError(f"headings must be {K} finite angles in rad")
-    loop = loop_of(model, controller, sensor, normalise)
+    loop = loop_of(model, controller, sensor, normalise, headings)
     return CoupledCells(model, K, coupling, graph, positions, headings, loop)

@@ -13,22 +13,30 @@ from cellsys.loop import Stay, closed_loop
 _FEATURES = ("amplitude", "cos", "sin", "cos2", "sin2")
 
 
-def loop_of(model: Any, controller: Any, sensor: Any, normalise: bool) -> Any:
-    """The polarity loop of one cell, or None for a model without headings or sensor.
+def loop_of(
+    model: Any, controller: Any, sensor: Any, normalise: bool, headings: Any = None
+) -> Any:
+    """The polarity loop of one cell, or None for a model without heading features or sensor.
 
     Raises
     ------
     ParameterError
-        When a controller or sensor is given and the model cannot use it.
+        When a controller, a sensor or headings are given, or normalise=False, and the model has
+        no loop that could use it.
     """
     names = [n.split(".")[-1] for n in model.input_names]
     steered = bool(names) and all(n in _FEATURES for n in names)
-    has_sensor = sensor is not None or model.sensor is not None
-    if steered and has_sensor:
+    if steered and (sensor is not None or model.sensor is not None):
         return closed_loop(model, controller=controller, sensor=sensor, normalise=normalise)
-    if controller is not None or sensor is not None:
-        missing = "inputs that are heading features" if not steered else "a sensor"
-        raise ParameterError(f"a controller needs a model with {missing}; this one has none")
+    given = {"controller": controller, "sensor": sensor, "headings": headings}
+    unused = [name for name, value in given.items() if value is not None]
+    unused += ["normalise=False"] * (not normalise)
+    if unused:
+        missing = "a sensor" if steered else "inputs that are heading features"
+        raise ParameterError(
+            f"{' and '.join(unused)}: the model has no polarity loop, for it lacks {missing}; give "
+            "a model with one, or leave this out"
+        )
     return None
 
 

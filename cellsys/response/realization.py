@@ -21,6 +21,7 @@ from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem, StateSpaceLike, TransferFunctionLike
 from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
 from cellsys.kinds import Takes
+from cellsys.state_space import state_space
 from cellsys.store.memory import size_text
 from cellsys.system import Matrix
 from cellsys.units import real_array, real_number
@@ -201,13 +202,10 @@ class Realization:
 
     def state_space(self) -> Any:
         """As ``control.StateSpace`` with the same names and dt."""
-        import control
-
         full = self.dense()
-        return control.ss(
+        return state_space(
             full.A, full.B, full.C, full.D, full.dt, states=list(self.states) or None,
             inputs=list(self.inputs) or None, outputs=list(self.outputs) or None,
-            remove_useless_states=False,
         )
 
 

@@ -23,6 +23,7 @@ from cellsys.population.ported.footprint import (
 from cellsys.population.ported.placement import Placement
 from cellsys.population.ported.ports import CellPort, PortPassivity
 from cellsys.population.verdict import CoupledStability, judge
+from cellsys.state_space import state_space
 
 DENSE_LIMIT = 4000
 
@@ -239,15 +240,13 @@ class PortedCells(Drawable):
 
         dt = 0, or the step of the cells.
         """
-        import control
-
         M, G = self.whole
         K, m, cell = self.n_cells, self.order, self.model
         B = G @ np.kron(np.eye(K), cell.B)
         inputs = [n.split(".")[-1].replace("[", "_").replace("]", "") for n in cell.input_names]
         states = [f"cell{k}_z[{i}]" for k in range(1, K + 1) for i in range(m)]
         states += [f"field_q[{i}]" for i in range(int(self.coupling.field.order))]
-        return control.ss(
+        return state_space(
             M,
             B,
             np.eye(len(M)),
@@ -257,7 +256,6 @@ class PortedCells(Drawable):
             inputs=[f"cell{k}_{n}" for k in range(1, K + 1) for n in inputs],
             outputs=states,
             name=f"ported_cells_K{K}",
-            remove_useless_states=False,
         )
 
     def simulate(

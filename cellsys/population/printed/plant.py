@@ -8,6 +8,7 @@ import numpy as np
 
 from cellsys.errors import ParameterError
 from cellsys.population.printed.blocks import ModeBlock
+from cellsys.state_space import state_space
 
 
 def plant_of(cells: Any, blocks: list[ModeBlock], coordinates: str) -> Any:
@@ -19,8 +20,6 @@ def plant_of(cells: Any, blocks: list[ModeBlock], coordinates: str) -> Any:
     blocks : list of ModeBlock
     coordinates : {"emergent", "isolated"}
     """
-    import control
-
     if coordinates not in ("emergent", "isolated"):
         raise ParameterError(
             f"coordinates must be 'emergent' or 'isolated', got {coordinates!r}"
@@ -40,7 +39,7 @@ def plant_of(cells: Any, blocks: list[ModeBlock], coordinates: str) -> Any:
     inputs = [n.split(".")[-1].replace(".", "_") for n in cells.model.input_names]
     inputs = [n.replace("[", "_").replace("]", "") for n in inputs]
     letter = "z" if emergent else "x"
-    return control.ss(
+    return state_space(
         A,
         G,
         C,
@@ -50,5 +49,4 @@ def plant_of(cells: Any, blocks: list[ModeBlock], coordinates: str) -> Any:
         inputs=[f"cell{k}_{n}" for k in range(1, K + 1) for n in inputs],
         outputs=[f"cell{k}_z[{i}]" for k in range(1, K + 1) for i in range(m)],
         name=f"cells_K{K}_m{m}_{coordinates}",
-        remove_useless_states=False,
     )
