@@ -221,10 +221,16 @@ def _any_of(kinds: list[Kind]) -> Kind:
     others = [k for k in kinds if k is not none]
     what = _listed([k.what for k in others] + ["None"] * (len(others) < len(kinds)))
 
+    usual: dict[type, Kind] = {}  # what took a value of this type before is asked first
+
     def fault(value: Any) -> str | None:
-        faults = [k.fault(value) for k in kinds]
-        if None in faults:
+        before = usual.get(type(value))
+        if before is not None and before.fault(value) is None:
             return None
+        for kind in kinds:
+            if kind.fault(value) is None:
+                usual[type(value)] = kind
+                return None
         if len(others) == 1 and value is not None:
             return others[0].fault(value)
         return f" must be {what}, got {shown(value)}"
@@ -308,6 +314,8 @@ def parts_of(protocol: type) -> tuple[str, ...]:
 
 def _has(value: Any, name: str) -> bool:
     """Whether it has the attribute, without computing it; what is made on demand is asked for."""
+    if name in getattr(value, "__dict__", ()) or hasattr(type(value), name):
+        return True
     missing = object()
     if inspect.getattr_static(value, name, missing) is not missing:
         return True

@@ -60,7 +60,9 @@ def read_table(source: Path) -> dict[str, Any]:
         with open_regular(source, _MOST_BYTES) as file:
             text = file.read().decode("utf-8")
         return parse_toml(text)
-    except (FileFormatError, SceneError) as error:
+    except FileFormatError as error:  # it has the name
+        raise SceneError(str(error)) from error
+    except SceneError as error:
         raise SceneError(f"{source.name}: {error}") from error
     except UnicodeDecodeError as error:
         raise SceneError(f"{source.name}: not a TOML file: {error}") from error

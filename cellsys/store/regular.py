@@ -28,7 +28,8 @@ def open_regular(path: Path, most: float = float("inf")) -> BinaryIO:
         found = os.fstat(handle)
         if not stat.S_ISREG(found.st_mode):
             raise FileFormatError(
-                f"{path.name!r} cannot be read: no regular file but a folder, pipe or device"
+                f"{path.name or str(path)!r} cannot be read: no regular file but a folder, pipe or "
+                "device"
             )
         if found.st_size > most:
             raise FileFormatError(
