@@ -10,7 +10,7 @@ import pytest
 
 import cellsys as cs
 from cellsys.errors import CellsysError, ParameterError
-from cellsys.reduction import RunData
+from cellsys.samples import RunData
 from tests.good_arguments import good, hints, oscillator, public
 from tests.good_arguments import model as steered
 

@@ -133,6 +133,17 @@ def test_heavy_libraries_have_their_rooms():
     assert not wrong, "\n".join(wrong)
 
 
+def test_commands_write_through_their_output():
+    """What files hold reaches a terminal without control characters: `cli.output` alone prints."""
+    wrong = []
+    for path in sorted((PACKAGE / "cli").glob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            called = isinstance(node, ast.Call) and ast.unparse(node.func)
+            if called in ("print", "typer.echo") and path.name != "output.py":
+                wrong.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert not wrong, wrong
+
+
 def test_outside_scripts_use_public_names_only():
     """analysis/ and examples/ import cellsys itself or whole rooms, never underscored names."""
     wrong = []

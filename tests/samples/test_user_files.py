@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from cellsys.errors import CellsysError, DataError, DimensionError, FileFormatError, ParameterError
-from cellsys.reduction import LeastSquares, reduce, snapshots
+from cellsys.reduction import LeastSquares, reduce
 from cellsys.response import poles
+from cellsys.samples import snapshots
 
 T = np.arange(40) * 0.5
 X = np.exp(-0.2 * T)  # one pole at -0.2 1/s

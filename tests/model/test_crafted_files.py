@@ -16,9 +16,8 @@ import typer
 from cellsys.cli import app
 from cellsys.cli.output import say
 from cellsys.errors import CellsysError, FileFormatError
+from cellsys.model import Card, LatentModel
 from cellsys.printable import printable
-from cellsys.reduction import LatentModel
-from cellsys.reduction.card import Card
 from tests.population.systems import model
 
 RED = "\x1b[31mred\x9b0m\x07"
