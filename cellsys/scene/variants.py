@@ -17,7 +17,6 @@ from cellsys.kinds import shown
 from cellsys.scene.inherit import MOST_PARTS, find_scene, inherited, parse_toml, read_table
 from cellsys.scene.scene import Scene, parse_scene
 
-
 MOST_SCENES = 10_000  # of one sweep: as many take half a minute to be read alone
 
 
