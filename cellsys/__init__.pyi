@@ -17,7 +17,7 @@ from .accuracy import (
 )
 from .bondgraph import BondGraph
 from .errors import (
-    BudgetError,
+    MemoryBudgetError,
     CausalityError,
     CellsysError,
     DataError,
@@ -49,17 +49,17 @@ from .integrate import (
     Sensitivities,
     end_gradient,
     pole_sensitivities,
-    sensitivities,
+    parameter_sensitivities,
     simulate,
     stability_limit,
 )
 from .loop import (
     ClosedLoop,
     MPol,
-    Perturb,
+    AntiparallelTurn,
     PolarityLaw,
     ScheduledLoop,
-    Stay,
+    AntiparallelStay,
     closed_loop,
     loop_copies,
     parametric_loop,
@@ -152,7 +152,7 @@ from .reduction import (
     Selection,
     compare_reductors,
     fit_basis,
-    grid,
+    candidates,
     learning_curve,
     pole_certainty,
     reduce,

@@ -6,6 +6,10 @@ Every one derives from `CellsysError` and from the builtin that describes it, so
 
 from __future__ import annotations
 
+from cellsys.renamed import old_names
+
+__getattr__ = old_names(__name__)
+
 
 class CellsysError(Exception):
     """Root of all errors raised on purpose by cellsys."""
@@ -107,7 +111,7 @@ class ExecutorError(CellsysError, RuntimeError):
     """What was to run the work is gone: a scheduler that does not answer, workers that died."""
 
 
-class BudgetError(CellsysError, MemoryError):
+class MemoryBudgetError(CellsysError, MemoryError):
     """A scene or data set asks for more memory than there is."""
 
 

@@ -38,7 +38,7 @@ def main(quick: bool = False) -> None:
     methods = [cs.LeastSquares(), cs.Ridge(), cs.Contractive(iterations=100)]
     print(cs.compare_reductors(train, test, [4, 12], methods), "\n")
 
-    methods += cs.grid(cs.Ridge(), {"ridge": [0.01, 0.1], "step": [5.0, 20.0]})
+    methods += cs.candidates(cs.Ridge(), {"ridge": [0.01, 0.1], "step": [5.0, 20.0]})
     chosen = cs.select_model(train, methods, [4, 8, 12], folds=3, inner=2)
     print(chosen, "\n")
     print(cs.learning_curve(train, test, chosen.method, chosen.order, draws=2), "\n")

@@ -34,6 +34,7 @@ FLOORS = [
     ("laws", "store"),
     ("system", "overdamped", "trajectory", "drawable"),
     ("units", "arguments", "kinds", "printable", "errors", "version"),
+    ("renamed",),
 ]
 FLOOR = {room: height for height, rooms in enumerate(reversed(FLOORS)) for room in rooms}
 # The ground floor and the files of the middle one are single modules that may look at each other

@@ -3,9 +3,9 @@
 from cellsys.bondgraph.elements import (
     GY,
     TF,
+    BondElement,
     C,
     CField,
-    Element,
     I,
     Internal,
     NodalEffort,
@@ -18,15 +18,18 @@ from cellsys.bondgraph.elements import (
 from cellsys.bondgraph.equations import Equations
 from cellsys.bondgraph.graph import BondGraph
 from cellsys.bondgraph.junctions import Bond, JunctionGraph
+from cellsys.renamed import old_names
+
+__getattr__ = old_names(__name__)
 
 __all__ = [
     "GY",
     "TF",
     "Bond",
+    "BondElement",
     "BondGraph",
     "C",
     "CField",
-    "Element",
     "Equations",
     "I",
     "Internal",

@@ -29,7 +29,7 @@ from cellsys.bondgraph.elements import (
     Zero,
 )
 from cellsys.bondgraph.elimination import Number, SolutionSet, rational
-from cellsys.bondgraph.junctions import JunctionGraph, Port, is_matrix, is_modulated
+from cellsys.bondgraph.junctions import BondPort, JunctionGraph, is_matrix, is_modulated
 from cellsys.bondgraph.quantities import dimension_of, read
 from cellsys.errors import CausalityError, ParameterError
 
@@ -128,7 +128,7 @@ def assign(graph: JunctionGraph) -> Causality:
     """
     solution = _structure(graph, generic=True)
     outputs: dict[int, tuple[str, str]] = {}
-    owner: dict[int, Port] = {}
+    owner: dict[int, BondPort] = {}
 
     def names(variables: Iterable[int]) -> str:
         return ", ".join(repr(owner[v].name) for v in variables if v in owner)

@@ -34,7 +34,7 @@ Start = Annotated[float | np.ndarray, "a number or an array of numbers"]
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Element:
+class BondElement:
     """Anything with a name that bonds can end on."""
 
     name: str
@@ -55,7 +55,7 @@ def _one_of(name: str, **given: Any) -> None:
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Zero(Element):
+class Zero(BondElement):
     """0-junction: common effort, flows sum to zero (Kirchhoff's current law).
 
     Parameters
@@ -72,7 +72,7 @@ class Zero(Element):
 
 @checked
 @dataclass(frozen=True, eq=False)
-class One(Element):
+class One(BondElement):
     """1-junction: common flow, efforts sum to zero (Kirchhoff's voltage law).
 
     Parameters
@@ -93,7 +93,7 @@ class One(Element):
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Se(Element):
+class Se(BondElement):
     """Source of effort: a number, a quantity or a function of time; its name is an input.
 
     The value is the effort of its bond, whatever the bond's direction.
@@ -104,7 +104,7 @@ class Se(Element):
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Sf(Element):
+class Sf(BondElement):
     """Source of flow: a number, a quantity or a function of time; its name is an input."""
 
     value: Value | Callable[[Any], Any] = 0.0
@@ -112,7 +112,7 @@ class Sf(Element):
 
 @checked
 @dataclass(frozen=True, eq=False)
-class R(Element):
+class R(BondElement):
     """Resistor e = resistance x f (damper, drag), or e = law(f).
 
     Parameters
@@ -143,7 +143,7 @@ class R(Element):
 
 @checked
 @dataclass(frozen=True, eq=False)
-class C(Element):
+class C(BondElement):
     """Storage of displacement dq/dt = f (spring, capacitor, tank): e = q/compliance or law(q).
 
     Parameters
@@ -176,7 +176,7 @@ class C(Element):
 
 @checked
 @dataclass(frozen=True, eq=False)
-class I(Element):  # noqa: E742 - the field's own name for an inertia
+class I(BondElement):  # noqa: E742 - the field's own name for an inertia
     """Storage of momentum dp/dt = e (mass, inductor): f = p/inertance or law(p).
 
     Parameters
@@ -201,7 +201,7 @@ class I(Element):  # noqa: E742 - the field's own name for an inertia
 
 @checked
 @dataclass(frozen=True, eq=False)
-class CField(Element):
+class CField(BondElement):
     """Storage with several ports: dq_i/dt = f_i, (e_1, e_2, ...) = law(q_1, q_2, ...).
 
     Parameters
@@ -232,7 +232,7 @@ class CField(Element):
 
 @checked
 @dataclass(frozen=True, eq=False)
-class NodalEffort(Element):
+class NodalEffort(BondElement):
     """Port of a vector element on a junction array: an effort that is a block of eta.
 
     Thousands of springs may stand behind it; their geometry lives in the element, and what it
@@ -251,7 +251,7 @@ class NodalEffort(Element):
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Internal(Element):
+class Internal(BondElement):
     """State inside an element (bond strength, stretch) whose rate is a block of eta.
 
     Parameters
@@ -272,7 +272,7 @@ class Internal(Element):
 
 @checked
 @dataclass(frozen=True, eq=False)
-class TF(Element):
+class TF(BondElement):
     """Transformer (lever, gear, piston): e_in = ratio e_out, f_out = ratio f_in.
 
     Parameters
@@ -288,7 +288,7 @@ class TF(Element):
 
 @checked
 @dataclass(frozen=True, eq=False)
-class GY(Element):
+class GY(BondElement):
     """Gyrator (motor, pump): e_in = ratio f_out, e_out = ratio f_in.
 
     Parameters

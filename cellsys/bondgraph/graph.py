@@ -18,7 +18,7 @@ class BondGraph(JunctionGraph, Drawable):
 
     Parameters
     ----------
-    elements : sequence of Element
+    elements : sequence of BondElement
         R, C, I, Se, Sf, TF, GY, CField, ... and junctions Zero and One, each with its own name.
     bonds : sequence of str
         ``"supply -> circuit -> motor -> shaft"``: each arrow is a bond along which power is

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.arguments import checked
-from cellsys.bondgraph.elements import JUNCTIONS, TWO_PORTS, CField, Element, Internal
+from cellsys.bondgraph.elements import JUNCTIONS, TWO_PORTS, BondElement, CField, Internal
 from cellsys.bondgraph.quantities import DOMAINS
 from cellsys.errors import CausalityError, ParameterError
 
@@ -33,10 +33,10 @@ class Bond(NamedTuple):
         return (self.tail, self.tail_port), (self.head, self.head_port)
 
 
-class Port(NamedTuple):
+class BondPort(NamedTuple):
     """An element's end of a bond; `sign` is +1 where the bond points into the element."""
 
-    element: Element
+    element: BondElement
     port: str
     bond: int
     sign: int
@@ -54,7 +54,7 @@ class JunctionGraph:
 
     Parameters
     ----------
-    elements : sequence of Element
+    elements : sequence of BondElement
         R, C, I, Se, Sf, TF, GY, CField, ... and junctions Zero and One, each with its own name.
     bonds : sequence of str
         ``"supply -> circuit -> motor -> shaft"``: each arrow is a bond along which power is
@@ -75,7 +75,7 @@ class JunctionGraph:
         A port left open, or a graph in several parts.
     """
 
-    elements: Sequence[Element]
+    elements: Sequence[BondElement]
     bonds: Sequence[str]
     units: str = field(default="cell", kw_only=True)
     separate: bool = field(default=False, kw_only=True)
@@ -103,7 +103,7 @@ class JunctionGraph:
         _ = self.shapes
 
     @cached_property
-    def by_name(self) -> dict[str, Element]:
+    def by_name(self) -> dict[str, BondElement]:
         """Elements by name."""
         return {e.name: e for e in self.elements}
 
@@ -205,7 +205,7 @@ class JunctionGraph:
         return out
 
     @cached_property
-    def ports(self) -> tuple[Port, ...]:
+    def ports(self) -> tuple[BondPort, ...]:
         """Ports of all elements that are not junctions, in the order of the elements."""
         found: dict[tuple[str, str], tuple[int, int]] = {}
         for i, bond in enumerate(self.joined):
@@ -216,7 +216,7 @@ class JunctionGraph:
                 continue
             ports = ("in", "out") if isinstance(element, TWO_PORTS) else element.ports
             for port in getattr(element, "ends", ports):
-                out.append(Port(element, port, *found[(element.name, port)]))
+                out.append(BondPort(element, port, *found[(element.name, port)]))
         return tuple(out)
 
     @cached_property
@@ -247,18 +247,18 @@ class JunctionGraph:
             out.append(found[0] if found else default)
         return out
 
-    def two_port_sides(self, element: Element) -> tuple[Port, Port]:
+    def two_port_sides(self, element: BondElement) -> tuple[BondPort, BondPort]:
         """Ports ``in`` and ``out`` of a TF or GY."""
         inner, outer = (p for p in self.ports if p.element is element)
         return inner, outer
 
 
-def is_modulated(element: Element) -> bool:
+def is_modulated(element: BondElement) -> bool:
     """Whether a TF or GY has a ratio that depends on the state."""
     return isinstance(element, TWO_PORTS) and callable(element.ratio)
 
 
-def is_matrix(element: Element) -> bool:
+def is_matrix(element: BondElement) -> bool:
     """Whether a TF has a constant matrix for its ratio."""
     ratio = getattr(element, "ratio", None)
     return sp.issparse(ratio) or (isinstance(ratio, np.ndarray) and ratio.ndim == 2)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cellsys.bondgraph.causality import EFFORT, FLOW, Causality
 from cellsys.bondgraph.elements import C, CField, I, Internal, NodalEffort, R, Se, Sf
-from cellsys.bondgraph.junctions import JunctionGraph, Port, is_matrix
+from cellsys.bondgraph.junctions import BondPort, JunctionGraph, is_matrix
 from cellsys.bondgraph.quantities import dimension_of, read, state_units
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.system import Block, Layout
@@ -40,7 +40,7 @@ def size_of(shape: tuple[int, ...]) -> int:
     return int(np.prod(shape, dtype=int))
 
 
-def constant_of(graph: JunctionGraph, port: Port, quantity: str) -> tuple[str, np.ndarray]:
+def constant_of(graph: JunctionGraph, port: BondPort, quantity: str) -> tuple[str, np.ndarray]:
     """(parameter name, values (n,)) of a linear R, C or I, in the graph's units; checked."""
     element, shape = port.element, graph.shapes[port.bond]
     names = {R: ("resistance", "conductance"), C: ("compliance", "stiffness"), I: ("inertance",)}
@@ -58,7 +58,7 @@ def constant_of(graph: JunctionGraph, port: Port, quantity: str) -> tuple[str, n
     return name, value
 
 
-def _factor(graph: JunctionGraph, port: Port, quantity: str, kind: str) -> np.ndarray:
+def _factor(graph: JunctionGraph, port: BondPort, quantity: str, kind: str) -> np.ndarray:
     """Output of a linear element over its state (storage) or its input (others)."""
     name, value = constant_of(graph, port, quantity)
     if isinstance(port.element, R):
@@ -84,7 +84,7 @@ def _kind(element: Any, kind: str, literal: bool) -> str:
     return "memoryless" if isinstance(element, R) else "linear"
 
 
-def input_sign(port: Port, quantity: str) -> int:
+def input_sign(port: BondPort, quantity: str) -> int:
     """Sign of an element's input on its bond; see `elements`: f counts into C and R, e into I."""
     if isinstance(port.element, I):
         return port.sign if quantity == FLOW else 1
@@ -93,7 +93,7 @@ def input_sign(port: Port, quantity: str) -> int:
     return 1
 
 
-def output_sign(port: Port, quantity: str) -> int:
+def output_sign(port: BondPort, quantity: str) -> int:
     """Sign of a resistor's or dependent storage's output on its bond."""
     if isinstance(port.element, (R, C)):
         return port.sign if quantity == FLOW else 1

@@ -22,7 +22,7 @@ import scipy.sparse.linalg as spla
 
 from cellsys.bondgraph.causality import EFFORT, FLOW, Causality, variable
 from cellsys.bondgraph.elements import C, CField, I, Internal, One
-from cellsys.bondgraph.junctions import JunctionGraph, Port, is_matrix
+from cellsys.bondgraph.junctions import BondPort, JunctionGraph, is_matrix
 from cellsys.bondgraph.outputs import (
     Output,
     auxiliaries_of,
@@ -267,7 +267,7 @@ def _hidden_row(
 
 
 def _matrix_row(
-    graph: JunctionGraph, port: Port, output: Output, inner: dict[str, sp.csr_array]
+    graph: JunctionGraph, port: BondPort, output: Output, inner: dict[str, sp.csr_array]
 ) -> sp.csr_array:
     """e_in = M^T e_out, f_out = M f_in; M acts on nodes, or on all entries."""
     a, b = graph.two_port_sides(port.element)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cellsys.cli.console import Json, ModelFile, app, dump
+from cellsys.cli.models import load_model, verdict_line
 from cellsys.cli.output import show
 
 if TYPE_CHECKING:
@@ -32,15 +33,13 @@ def couple(
     as_json: Json = False,
 ) -> None:
     """Poles and stability of K identical cells on one matrix."""
-    from cellsys.cli.models import _load, _verdict
-
-    loaded = _load(model)
+    loaded = load_model(model)
     together = _couple(loaded, cells, form, map_file, rank_tol)
     report, poles = together.stability(), together.pole_set()
     if as_json:
-        dump(_table(together, report, poles) | {"model": _verdict(loaded)})
+        dump(_table(together, report, poles) | {"model": verdict_line(loaded)})
         return
-    show(f"{together}\n{report}\n{poles}\n{_verdict(loaded)}")
+    show(f"{together}\n{report}\n{poles}\n{verdict_line(loaded)}")
 
 
 def _couple(

@@ -49,7 +49,8 @@ def reduce(
     show(f"written: {path}")
 
 
-def _load(path: Path) -> LatentModel:
+def load_model(path: Path) -> LatentModel:
+    """The model in a file that cellsys wrote."""
     from cellsys.model import LatentModel
 
     return LatentModel.load(path)
@@ -62,7 +63,7 @@ def poles(model: ModelFile, as_json: Json = False) -> None:
     from cellsys.response import damping
     from cellsys.study.run import plant_of
 
-    loaded = _load(model)
+    loaded = load_model(model)
     plant = plant_of(loaded)
     table = damping(plant, certainty=loaded.certainty(discrete=plant.dt > 0))
     labelled = loaded.labelled_poles() if isinstance(loaded, EquivariantModel) else []
@@ -71,7 +72,7 @@ def poles(model: ModelFile, as_json: Json = False) -> None:
             "poles": [[p.real, p.imag] for p in table.poles],
             "error_bounds": table.error_bound.tolist(),
             "bounds": table.poles.note or "rounding",
-            "verdict": _verdict(loaded),
+            "verdict": verdict_line(loaded),
         }
         if labelled:
             result["charges"] = [[p.value.real, p.value.imag, p.charge] for p in labelled]
@@ -84,10 +85,11 @@ def poles(model: ModelFile, as_json: Json = False) -> None:
             f"charge {pole.charge}: {value.real: .4g} {value.imag:+.4g}j 1/s, "
             f"{'single' if pole.multiplicity == 1 else 'double by symmetry'}"
         )
-    show(_verdict(loaded))
+    show(verdict_line(loaded))
 
 
-def _verdict(model: LatentModel) -> str:
+def verdict_line(model: LatentModel) -> str:
+    """What the model is worth, by its card, in one line."""
     return f"verdict: {model.card.verdict if model.card else 'no card: never measured on data.'}"
 
 
@@ -108,7 +110,7 @@ def bode(
     from cellsys.loop import closed_loop
     from cellsys.response import margins
 
-    loaded = _load(model)
+    loaded = load_model(model)
     horizon = float(loaded.notes.get("horizon_s", 1500.0))
     if at is not None:
         _bode_along(loaded, at, horizon, out, as_json)
@@ -126,7 +128,7 @@ def bode(
         dump({**result.table(), "set_apart": len(point.slow)})
         return
     show(f"{point}\n{result}")
-    show(_verdict(loaded))
+    show(verdict_line(loaded))
 
 
 def _bode_along(
@@ -158,7 +160,7 @@ def _bode_along(
             f"t = {t:6g} s: gain margin {m.gain_margin:.4g} on kappa, phase margin "
             f"{m.phase_margin:.4g} deg, delay margin {m.delay_margin:.4g} s"
         )
-    show(_verdict(model))
+    show(verdict_line(model))
 
 
 @app.command()
@@ -167,7 +169,7 @@ def stability(model: ModelFile, as_json: Json = False) -> None:
     from cellsys.response import stability as judge
     from cellsys.study.run import plant_of
 
-    loaded = _load(model)
+    loaded = load_model(model)
     plant = plant_of(loaded)
     report = judge(plant, certainty=loaded.certainty(discrete=plant.dt > 0))
     if as_json:
@@ -182,4 +184,4 @@ def stability(model: ModelFile, as_json: Json = False) -> None:
         )
         return
     show(report)
-    show(_verdict(loaded))
+    show(verdict_line(loaded))

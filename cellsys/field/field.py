@@ -23,7 +23,7 @@ from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 
 
-class MatrixField(LinearisedField):
+class GradientField(LinearisedField):
     """Common part of `GalerkinField` and the full field; subclasses give coordinates and solves.
 
     Attributes

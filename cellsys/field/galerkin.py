@@ -12,7 +12,7 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.field.elasticity import MatrixEnergy
-from cellsys.field.field import MatrixField
+from cellsys.field.field import GradientField
 from cellsys.field.modes import response_modes
 from cellsys.kinds import Seed
 from cellsys.mechanics.spreading import SpreadingSystem
@@ -22,7 +22,7 @@ from cellsys.units import real_array
 
 @checked
 @dataclass(frozen=True, eq=False)
-class GalerkinField(MatrixField):
+class GalerkinField(GradientField):
     """Galerkin projection of the matrix's own fibre energy on load-response modes.
 
         C_e q' = -d/dq U(U q) + U^T f        u = U q, U^T U = I   [notes: theory, matrix field]

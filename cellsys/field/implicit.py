@@ -12,14 +12,14 @@ import scipy.sparse as sp
 from cellsys.arguments import checked
 from cellsys.errors import DimensionError
 from cellsys.field.elasticity import MatrixEnergy
-from cellsys.field.field import MatrixField
+from cellsys.field.field import GradientField
 from cellsys.field.modes import symmetric_factor
 from cellsys.mechanics.spreading import SpreadingSystem
 
 
 @checked
 @dataclass(frozen=True, eq=False)
-class FullField(MatrixField):
+class FullField(GradientField):
     """The matrix on its free coordinates: modes are unit vectors, solves are sparse.
 
     Parameters as in `GalerkinField`; tangents are sparse.

@@ -24,7 +24,7 @@ from cellsys.system import Block, Layout
 
 
 class LinearisedField:
-    """Plant, model and passivity of a field; `MatrixField` adds energy and steps."""
+    """Plant, model and passivity of a field; `GradientField` adds energy and steps."""
 
     order: int
     modes: Any

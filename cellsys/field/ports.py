@@ -21,7 +21,7 @@ _ANGLES = 400  # frequencies on the unit circle
 @checked
 @dataclass(frozen=True)
 class FieldPassivity:
-    """What the passivity of a field rests on; from `MatrixField.passivity`.
+    """What the passivity of a field rests on; from `GradientField.passivity`.
 
     Attributes
     ----------

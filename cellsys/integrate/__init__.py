@@ -3,17 +3,20 @@
 from cellsys.integrate.explicit import ExplicitEuler, stability_limit
 from cellsys.integrate.exponential import Exponential
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
-from cellsys.integrate.rkc import RKC
-from cellsys.integrate.scipy_methods import DOP853, LSODA, Radau
-from cellsys.integrate.sensitivities import (
+from cellsys.integrate.parameter_sensitivities import (
     ParametricSystem,
     Sensitivities,
     end_gradient,
+    parameter_sensitivities,
     pole_sensitivities,
-    sensitivities,
 )
+from cellsys.integrate.rkc import RKC
+from cellsys.integrate.scipy_methods import DOP853, LSODA, Radau
 from cellsys.integrate.simulate import simulate
 from cellsys.integrate.symbolic import CVODES, IDAS, Collocation, RungeKutta4
+from cellsys.renamed import old_names
+
+__getattr__ = old_names(__name__)
 
 __all__ = [
     "CVODES",
@@ -30,8 +33,8 @@ __all__ = [
     "RungeKutta4",
     "Sensitivities",
     "end_gradient",
+    "parameter_sensitivities",
     "pole_sensitivities",
-    "sensitivities",
     "simulate",
     "stability_limit",
 ]

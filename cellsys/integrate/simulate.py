@@ -141,7 +141,7 @@ def simulate(
     ------
     IntegrationError
         When the integrator fails or returns NaN; it has the time, state norm and step.
-    BudgetError
+    MemoryBudgetError
         When the record does not fit into memory.
     ParameterError
         When the system has events and the integrator does not look for them.

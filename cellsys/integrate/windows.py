@@ -103,7 +103,7 @@ def foreseen(size: np.ndarray, factor: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class WindowTable:
     """What a window of length h needs, for one system."""
 
     observe: np.ndarray  # w (as reals) -> S z at the nodes, (s n_o, .)
@@ -113,7 +113,9 @@ class Table:
     end: np.ndarray  # (M, n_c, s): commands -> w at the end
 
 
-def make_table(system: Semilinear, flow: ModalFlow | DenseFlow, h: float, s: int) -> Table | None:
+def make_table(
+    system: Semilinear, flow: ModalFlow | DenseFlow, h: float, s: int
+) -> WindowTable | None:
     """Tables of a window; None when the kernel cannot be resolved over h seconds."""
     levels = flow.levels(h)
     if levels is None:
@@ -126,7 +128,7 @@ def make_table(system: Semilinear, flow: ModalFlow | DenseFlow, h: float, s: int
     constant = system.s + Q[:, -1].sum(axis=-1).T
     Q = Q[:, :-1].transpose(2, 0, 3, 1).reshape(s * n_o, s * (n_c - 1))
     end = h * np.tensordot(kernel, T[:, -1], axes=(0, 0))
-    return Table(
+    return WindowTable(
         flow.observer(h * g.nodes), constant, np.ascontiguousarray(Q), flow.exponential(h), end
     )
 
@@ -160,7 +162,7 @@ class WindowSolver:
         self.grid = grid(s)
         self.made = 0
 
-    def table(self, h: float) -> Table | None:
+    def table(self, h: float) -> WindowTable | None:
         """Tables of windows of length h, kept with the system from run to run."""
         kept, key = self.system.tables, (type(self.flow), self.s, h)
         if key not in kept:
@@ -170,7 +172,7 @@ class WindowSolver:
             self.made += 1
         return kept[key]
 
-    def _newton(self, h: float, Y: np.ndarray, o: np.ndarray, table: Table) -> list:
+    def _newton(self, h: float, Y: np.ndarray, o: np.ndarray, table: WindowTable) -> list:
         """Factorised Jacobian, (s - 1) n_y square, of each cell's collocation residual."""
         c_y, r_y, r_o = self.system.slopes(Y, o)
         s, (cells, _, n_y), n_o = self.s, Y.shape, o.shape[-1]

@@ -3,18 +3,21 @@
 from cellsys.loop.closed_loop import ClosedLoop, Linearisation
 from cellsys.loop.input_map import MPol
 from cellsys.loop.join import closed_loop, loop_copies, parametric_loop
-from cellsys.loop.polarity import Perturb, PolarityLaw, Stay
+from cellsys.loop.polarity import AntiparallelStay, AntiparallelTurn, PolarityLaw
 from cellsys.loop.scheduled import ScheduledLoop
 from cellsys.model.sensor import StiffnessSensor
+from cellsys.renamed import old_names
+
+__getattr__ = old_names(__name__)
 
 __all__ = [
+    "AntiparallelStay",
+    "AntiparallelTurn",
     "ClosedLoop",
     "Linearisation",
     "MPol",
-    "Perturb",
     "PolarityLaw",
     "ScheduledLoop",
-    "Stay",
     "StiffnessSensor",
     "closed_loop",
     "loop_copies",

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from cellsys.arguments import checked
 from cellsys.cell.model import EquivariantModel
 from cellsys.errors import DimensionError, ParameterError
-from cellsys.integrate.sensitivities import ParametricSystem
+from cellsys.integrate.parameter_sensitivities import ParametricSystem
 from cellsys.laws.arrays import operations
 from cellsys.laws.polarity import rate as polarity_rate
 from cellsys.loop.closed_loop import ClosedLoop, check_point
@@ -118,7 +118,7 @@ def loop_copies(loop: ClosedLoop, z0: np.ndarray, p0: np.ndarray) -> LoopCopies:
 def parametric_loop(loop: ClosedLoop) -> ParametricSystem:
     """The loop with its gain `kappa` (1/s) and a factor `force` on its commands as parameters.
 
-    For `cs.sensitivities`: d trajectory/d kappa, d trajectory/d force.
+    For `cs.parameter_sensitivities`: d trajectory/d kappa, d trajectory/d force.
     """
     A, B, b = loop.model.continuous_matrices()
     m = loop.order

@@ -17,13 +17,13 @@ from cellsys.units import real_array, real_number
 
 @checked
 @dataclass(frozen=True)
-class Stay:
+class AntiparallelStay:
     """p = -d is an equilibrium of the law: stay there."""
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class Perturb:
+class AntiparallelTurn:
     """Leave p near -d by a small turn in the substrate plane, its side drawn from a seed.
 
     Parameters
@@ -42,9 +42,11 @@ class Perturb:
 
     def __post_init__(self) -> None:
         if not 0 < self.angle < np.pi:
-            raise ParameterError(f"Perturb.angle must be in (0, pi) rad, got {self.angle!r}")
+            raise ParameterError(
+                f"AntiparallelTurn.angle must be in (0, pi) rad, got {self.angle!r}"
+            )
         if not -1 <= self.within <= 1:
-            raise ParameterError(f"Perturb.within must be in [-1, 1], got {self.within!r}")
+            raise ParameterError(f"AntiparallelTurn.within must be in [-1, 1], got {self.within!r}")
 
 
 @checked
@@ -59,11 +61,11 @@ class PolarityLaw:
     ----------
     kappa : float
         Gain, 1/s; the thesis's code has 1/60.
-    antiparallel : Stay or Perturb
+    antiparallel : AntiparallelStay or AntiparallelTurn
     """
 
     kappa: float = 1.0 / 60.0
-    antiparallel: Stay | Perturb = Stay()
+    antiparallel: AntiparallelStay | AntiparallelTurn = AntiparallelStay()
 
     def __post_init__(self) -> None:
         if real_number(self.kappa, "PolarityLaw.kappa") < 0:
@@ -107,7 +109,7 @@ class PolarityLaw:
         return exact_step(self._off_antipode(p, d), d, self.kappa, dt)
 
     def _off_antipode(self, p: np.ndarray, d: np.ndarray) -> np.ndarray:
-        if isinstance(self.antiparallel, Stay):
+        if isinstance(self.antiparallel, AntiparallelStay):
             return p
         scale = float(np.linalg.norm(p) * np.linalg.norm(d))
         if scale == 0.0 or float(p @ d) > self.antiparallel.within * scale:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cellsys.bondgraph import BondGraph, C, Element, I, One, R, Zero
+from cellsys.bondgraph import BondElement, BondGraph, C, I, One, R, Zero
 from cellsys.mechanics.crawler import Crawler
 from cellsys.mechanics.geometry.chain import Chain
 
@@ -53,7 +53,7 @@ def crawler_graph(
     def spring(q: Any) -> Any:
         return cell.stiffness * q + cell.stiffness3 * q**3
 
-    elements: list[Element] = [
+    elements: list[BondElement] = [
         One("trail"), One("lead"), One("node1"), One("node2"),
         I("m_trail", cell.mass), I("m_lead", cell.mass), drag("B_trail"), drag("B_lead"),
         C("cell", law=spring), R("b_cell", cell.damping),

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cellsys.bondgraph import BondGraph, Element, Internal, NodalEffort, One, R
+from cellsys.bondgraph import BondElement, BondGraph, Internal, NodalEffort, One, R
 from cellsys.mechanics.compiled import compiled
 from cellsys.mechanics.effects.protocol import JunctionArray, Port
 from cellsys.system import Block
@@ -40,7 +40,7 @@ def junction_graph(
         Its equations give states, auxiliaries, x0 and W_eta; the laws stay with the elements,
         which exchange power between arrays by equal and opposite port efforts.
     """
-    elements: list[Element] = []
+    elements: list[BondElement] = []
     bonds = []
     for array in arrays:
         junction = f"{array.name} nodes"

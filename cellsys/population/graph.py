@@ -11,7 +11,7 @@ import scipy.linalg as sla
 import scipy.sparse as sp
 
 from cellsys.arguments import checked
-from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
+from cellsys.errors import DataError, DimensionError, MemoryBudgetError, ParameterError
 from cellsys.kinds import Takes
 from cellsys.store.memory import size_text
 from cellsys.system import Matrix
@@ -146,7 +146,7 @@ def check_positions(positions: Any) -> np.ndarray:
 
 def _afford(K: int) -> None:
     if 8.0 * K * K > _DENSE_BYTES:
-        raise BudgetError(
+        raise MemoryBudgetError(
             f"dense weights of {K} cells need {size_text(8.0 * K * K)}; use all-to-all coupling "
             "(any number of cells), or weights with a cutoff, which are sparse (matrix-free route)"
         )

@@ -8,7 +8,7 @@ import numpy as np
 
 from cellsys.errors import ParameterError
 from cellsys.laws.polarity import exact_steps, rate
-from cellsys.loop import Stay, closed_loop
+from cellsys.loop import AntiparallelStay, closed_loop
 
 _FEATURES = ("amplitude", "cos", "sin", "cos2", "sin2")
 
@@ -65,7 +65,7 @@ def sensed(loop: Any, raw: np.ndarray) -> np.ndarray:
 def turn(loop: Any, p: np.ndarray, d: np.ndarray, dt: float) -> np.ndarray:
     """Exact step of every polarity with d held; cells near -d leave it as the law says."""
     law = loop.controller
-    if not isinstance(law.antiparallel, Stay):
+    if not isinstance(law.antiparallel, AntiparallelStay):
         size = np.sqrt(np.einsum("ki,ki->k", p, p) * np.einsum("ki,ki->k", d, d))
         near = (np.einsum("ki,ki->k", p, d) <= law.antiparallel.within * size) & (size > 0)
         if near.any():

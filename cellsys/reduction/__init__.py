@@ -1,8 +1,5 @@
 """Reduction: bases, reductors, comparison, choice and certainty."""
 
-import warnings
-from typing import Any
-
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.certainty import PoleCertainty, pole_certainty
 from cellsys.reduction.comparison import ComparedModel, Comparison, compare_reductors
@@ -16,31 +13,13 @@ from cellsys.reduction.ridge import Ridge
 from cellsys.reduction.selection import (
     LearningCurve,
     Selection,
-    grid,
+    candidates,
     learning_curve,
     select_model,
 )
+from cellsys.renamed import old_names
 
-_MOVED = (
-    "Card", "CellsOnField", "Clock", "Contraction", "Equivariant", "EquivariantModel",
-    "ErrorBands", "FieldPassivity", "Flag", "Forecast", "FullField", "GalerkinField",
-    "LatentModel", "PolarPort", "RunData", "Snapshots", "StiffnessSensor", "TrainedRange",
-    "ValidityMonitor", "assess", "contraction", "fit_sensor", "full_field", "realisation_floor",
-    "snapshots", "with_matrix",
-)  # fmt: skip
-
-
-def __getattr__(name: str) -> Any:
-    """Names that stood here up to version 0.2; they are found in `cellsys` itself."""
-    if name in _MOVED:
-        warnings.warn(
-            f"cellsys.reduction.{name} is now cellsys.{name}", DeprecationWarning, stacklevel=2
-        )
-        import cellsys
-
-        return getattr(cellsys, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
+__getattr__ = old_names(__name__)
 
 __all__ = [
     "PCR",
@@ -58,9 +37,9 @@ __all__ = [
     "RandomisedSVD",
     "Ridge",
     "Selection",
+    "candidates",
     "compare_reductors",
     "fit_basis",
-    "grid",
     "learning_curve",
     "pole_certainty",
     "reduce",

@@ -28,8 +28,10 @@ from cellsys.samples.snapshots import Snapshots
 
 
 @checked
-def grid(method: Reductor, settings: Mapping[str, Sequence[Any]]) -> list[Any]:
-    """The method with every combination of the settings: ``grid(Ridge(), {"ridge": [1e-3, 1]})``.
+def candidates(method: Reductor, settings: Mapping[str, Sequence[Any]]) -> list[Any]:
+    """The method with every combination of the settings.
+
+    ``candidates(Ridge(), {"ridge": [1e-3, 1]})`` gives two methods.
 
     Raises
     ------
@@ -140,7 +142,7 @@ def select_model(
     data : Snapshots
         All training runs; test runs stay outside.
     methods : sequence of reductors
-        Anything with ``fit(snapshots, order)``; see `grid` for their settings.
+        Anything with ``fit(snapshots, order)``; see `candidates` for their settings.
     orders : sequence of int
     folds, inner : int
         Outer folds (the reported error) and inner ones (the choice), at most one a run.

@@ -4,6 +4,7 @@ Any `control.StateSpace`, SISO or MIMO, continuous or discrete, or plain arrays;
 by way of a polynomial, and `control` is only loaded where a result is handed back as its type.
 """
 
+from cellsys.renamed import old_names
 from cellsys.response.damping import DampingTable, damping
 from cellsys.response.frequency import FrequencyResponse, frequency_response
 from cellsys.response.gramians import (
@@ -13,8 +14,6 @@ from cellsys.response.gramians import (
     observability_gramian,
 )
 from cellsys.response.integrators import Integrators
-from cellsys.response.locus import RootLocus, root_locus
-from cellsys.response.loop import ErrorSystem, Sensitivity, error_system, sensitivity
 from cellsys.response.lyapunov import LyapunovCertificate
 from cellsys.response.margins import Margins, margins
 from cellsys.response.norms import SystemNorm, h2_norm, hinf_norm, norm
@@ -22,8 +21,15 @@ from cellsys.response.participation import Participation, participation
 from cellsys.response.poles import poles
 from cellsys.response.pseudospectra import Pseudospectra, pseudospectra, pseudospectral_abscissa
 from cellsys.response.realization import Realization, realization
+from cellsys.response.root_locus import RootLocus, root_locus
 from cellsys.response.roots import RootSet
 from cellsys.response.sampling import Tustin, ZeroOrderHold, c2d, d2c
+from cellsys.response.sensitivity_functions import (
+    ErrorSystem,
+    Sensitivity,
+    error_system,
+    sensitivity,
+)
 from cellsys.response.stability import StabilityReport, stability
 from cellsys.response.timeresponse import (
     TimeResponse,
@@ -33,6 +39,8 @@ from cellsys.response.timeresponse import (
 )
 from cellsys.response.truncation import BalancedTruncation, balanced_truncation
 from cellsys.response.zeros import zeros
+
+__getattr__ = old_names(__name__)
 
 __all__ = [
     "BalancedTruncation",

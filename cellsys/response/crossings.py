@@ -13,8 +13,8 @@ import numpy as np
 
 from cellsys.response import grid
 from cellsys.response.brackets import find_roots
+from cellsys.response.eigenvalue_loci import Loci, Points
 from cellsys.response.eigenvalues import eigenvalues_with_bounds
-from cellsys.response.loci import Loci, Points
 from cellsys.response.resolvent import s_plane
 
 _UNKNOWN = 0.05  # relative error beyond which a value says nothing: a pole or zero on the boundary

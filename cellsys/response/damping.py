@@ -85,7 +85,7 @@ def damping(sys: LinearSystem, *, certainty: PoleCertainty | None = None) -> Dam
 
     Raises
     ------
-    DataError, DimensionError, ParameterError, BudgetError
+    DataError, DimensionError, ParameterError, MemoryBudgetError
         As for `poles`.
     """
     found = poles(sys, certainty=certainty)

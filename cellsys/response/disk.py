@@ -9,7 +9,7 @@ import scipy.linalg as sla
 
 from cellsys.errors import DataError
 from cellsys.response import pencils
-from cellsys.response.loci import Loci
+from cellsys.response.eigenvalue_loci import Loci
 from cellsys.response.realization import Realization
 from cellsys.response.resolvent import Resolvent, s_plane
 

@@ -148,7 +148,7 @@ def frequency_response(
         A frequency is a pole, or lies beyond pi/dt of a discrete system.
     DataError, DimensionError
         NaN or inf, sizes that do not fit.
-    BudgetError
+    MemoryBudgetError
         No omega given and A sparse with more than 1000 states.
 
     References

@@ -153,7 +153,7 @@ def controllability_gramian(sys: LinearSystem) -> Gramian:
     ------
     ParameterError
         A pole lies on or beyond the stability boundary.
-    DataError, DimensionError, BudgetError
+    DataError, DimensionError, MemoryBudgetError
         As for `poles`.
 
     References
@@ -187,7 +187,7 @@ def observability_gramian(sys: LinearSystem) -> Gramian:
     ------
     ParameterError
         A pole lies on or beyond the stability boundary.
-    DataError, DimensionError, BudgetError
+    DataError, DimensionError, MemoryBudgetError
         As for `poles`.
 
     References
@@ -221,7 +221,7 @@ def hankel_singular_values(sys: LinearSystem) -> np.ndarray:
     ------
     ParameterError
         A pole lies on or beyond the stability boundary.
-    DataError, DimensionError, BudgetError
+    DataError, DimensionError, MemoryBudgetError
         As for `poles`.
 
     References

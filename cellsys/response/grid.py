@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy.linalg as sla
 
-from cellsys.errors import BudgetError
+from cellsys.errors import MemoryBudgetError
 from cellsys.response.realization import EPS, Realization, balancing
 from cellsys.response.zeros import zero_values
 
@@ -25,11 +25,11 @@ def features(system: Realization) -> tuple[np.ndarray, float]:
 
     Raises
     ------
-    BudgetError
+    MemoryBudgetError
         For a sparse A too large to make dense: give the frequencies.
     """
     if system.is_sparse and system.n_states > 1000:
-        raise BudgetError(
+        raise MemoryBudgetError(
             f"an automatic frequency grid needs the poles of a dense {system.n_states} x "
             f"{system.n_states} matrix; pass omega"
         )

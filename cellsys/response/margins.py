@@ -14,9 +14,9 @@ from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError
 from cellsys.response.crossings import crossings
 from cellsys.response.disk import disk_margin
+from cellsys.response.eigenvalue_loci import Loci
 from cellsys.response.frequency import check_omega
 from cellsys.response.integrators import MARGINAL, counted
-from cellsys.response.loci import Loci
 from cellsys.response.realization import EPS, Realization, balance, balancing, realization
 
 
@@ -223,7 +223,7 @@ def margins(sys: LinearSystem, omega: np.ndarray | None = None) -> Margins:
     ------
     DimensionError
         L is not square.
-    DataError, ParameterError, BudgetError
+    DataError, ParameterError, MemoryBudgetError
         As for `frequency_response`.
 
     References

@@ -88,7 +88,7 @@ def h2_norm(sys: LinearSystem) -> SystemNorm:
 
     Raises
     ------
-    DataError, DimensionError, ParameterError, BudgetError
+    DataError, DimensionError, ParameterError, MemoryBudgetError
         As for `poles`.
 
     References
@@ -132,7 +132,7 @@ def hinf_norm(sys: LinearSystem, *, rtol: float = 1e-8) -> SystemNorm:
 
     Raises
     ------
-    DataError, DimensionError, ParameterError, BudgetError
+    DataError, DimensionError, ParameterError, MemoryBudgetError
         As for `poles`.
 
     References

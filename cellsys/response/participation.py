@@ -73,7 +73,7 @@ def participation(sys: LinearSystem) -> Participation:
 
     Raises
     ------
-    DataError, DimensionError, ParameterError, BudgetError
+    DataError, DimensionError, ParameterError, MemoryBudgetError
         As for `poles`.
 
     References

@@ -27,7 +27,7 @@ _NEAR = 0.02  # distance from the boundary, relative to the frequency, that roun
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class PencilBlock:
     """A system in a pencil, x' = A x + B u, y = C x + D u, or its mirror image in -s or 1/z."""
 
     A: np.ndarray
@@ -41,7 +41,7 @@ class Block:
 class Fitting:
     """A square system in units that fit: states by powers of two, time by `rate` (rad/s)."""
 
-    block: Block
+    block: PencilBlock
     dt: float
     rate: float
 
@@ -57,20 +57,20 @@ def fitting(system: Realization) -> Fitting:
     rate = 1.0
     if not system.is_discrete and b.A.size and np.any(b.A):
         rate = float(np.exp2(np.rint(np.log2(np.abs(b.A).max()))))
-    return Fitting(Block(b.A / rate, b.B / rate, b.C, b.D), system.dt, rate)
+    return Fitting(PencilBlock(b.A / rate, b.B / rate, b.C, b.D), system.dt, rate)
 
 
-def _copies(L: Block, left: bool, mirrored: bool) -> Block:
+def _copies(L: PencilBlock, left: bool, mirrored: bool) -> PencilBlock:
     """L (x) I, or I (x) L."""
     parts = (L.A, L.B, L.C, L.D)
     if len(L.D) == 1:
-        return Block(*parts, mirrored)
+        return PencilBlock(*parts, mirrored)
     I = np.eye(len(L.D))  # noqa: E741
     made = (np.kron(M, I) if left else np.kron(I, M) for M in parts)
-    return Block(*made, mirrored)
+    return PencilBlock(*made, mirrored)
 
 
-def _rows(block: Block, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _rows(block: PencilBlock, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """M_x, M_u, N_x, N_u of the state rows M_x x + M_u u = s (N_x x + N_u u)."""
     n, m = block.B.shape
     eye, none = np.eye(n), np.zeros((n, m))
@@ -81,7 +81,7 @@ def _rows(block: Block, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     return -block.A, -block.B, eye, none
 
 
-def _cascade(first: Block, second: Block, gain: float, dt: float) -> np.ndarray:
+def _cascade(first: PencilBlock, second: PencilBlock, gain: float, dt: float) -> np.ndarray:
     """Values s where det(second first - gain I) = 0."""
     n1, n2, m = len(first.A), len(second.A), len(first.D.T)
     M1, U1, N1, V1 = _rows(first, dt)
@@ -152,5 +152,5 @@ def level(fit: Fitting, value: float) -> np.ndarray:
     M = fit.block
     if not len(M.A):
         return np.zeros(0)
-    back = Block(M.A.T, M.C.T, M.B.T, M.D.T, mirrored=True)
+    back = PencilBlock(M.A.T, M.C.T, M.B.T, M.D.T, mirrored=True)
     return _frequencies(_cascade(M, back, value**2, fit.dt), fit)

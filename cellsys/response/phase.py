@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellsys.errors import BudgetError
+from cellsys.errors import MemoryBudgetError
 from cellsys.response import grid
 from cellsys.response.realization import Realization
 from cellsys.response.resolvent import Resolvent, s_plane
@@ -34,7 +34,7 @@ def continuous_phase(
     """
     try:
         own = grid.automatic(system)
-    except BudgetError:
+    except MemoryBudgetError:
         return anchored(np.unwrap(np.angle(response), axis=-1), np.zeros(response.shape[:2]))
     p, m, k = response.shape
     if not (p and m and k):

@@ -38,7 +38,7 @@ def poles(sys: LinearSystem, *, certainty: PoleCertainty | None = None) -> RootS
 
     Raises
     ------
-    DataError, DimensionError, ParameterError, BudgetError
+    DataError, DimensionError, ParameterError, MemoryBudgetError
         NaN or inf in a matrix, sizes that do not fit, not a linear system, sparse and too large.
 
     References

@@ -73,7 +73,7 @@ def pseudospectra(
     ------
     ParameterError
         points < 2 or a grid that is not finite.
-    DataError, DimensionError, BudgetError
+    DataError, DimensionError, MemoryBudgetError
         As for `poles`.
 
     References
@@ -143,7 +143,7 @@ def pseudospectral_abscissa(sys: LinearSystem, epsilon: float) -> float:
     ------
     ParameterError
         epsilon <= 0 or not finite.
-    DataError, DimensionError, BudgetError
+    DataError, DimensionError, MemoryBudgetError
         As for `poles`.
 
     References

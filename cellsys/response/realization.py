@@ -19,7 +19,7 @@ from scipy.linalg import lapack
 
 from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem, StateSpaceLike, TransferFunctionLike
-from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
+from cellsys.errors import DataError, DimensionError, MemoryBudgetError, ParameterError
 from cellsys.kinds import Takes
 from cellsys.state_space import state_space
 from cellsys.store.memory import size_text
@@ -186,14 +186,14 @@ class Realization:
 
         Raises
         ------
-        BudgetError
+        MemoryBudgetError
             When A is sparse and n > `limit`: the dense matrix is not made behind your back.
         """
         if not self.is_sparse:
             return self
         n = self.n_states
         if n > limit:
-            raise BudgetError(
+            raise MemoryBudgetError(
                 f"this needs a dense {n} x {n} matrix ({size_text(8.0 * n * n)}), above the limit "
                 f"of {limit} states; frequency_response takes the sparse one, for the rest reduce "
                 "the model first"

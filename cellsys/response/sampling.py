@@ -161,7 +161,7 @@ def c2d(sys: LinearSystem, dt: float, method: Sampling = ZeroOrderHold()) -> Any
     ParameterError
         The system is discrete already, dt is not > 0, the rule meets a pole, or `method` is none
         of the two.
-    DataError, DimensionError, BudgetError
+    DataError, DimensionError, MemoryBudgetError
         As for `poles`.
 
     References
@@ -197,7 +197,7 @@ def d2c(sys: LinearSystem, method: Sampling = ZeroOrderHold()) -> Any:
         The system is continuous already; `method` is none of the two; a pole at 0 (none of
         finite order gives it) or on the negative real axis (none of the same order below the
         Nyquist frequency does) under a zero-order hold, or at -1 (Tustin).
-    DataError, DimensionError, BudgetError
+    DataError, DimensionError, MemoryBudgetError
         As for `poles`.
 
     References

@@ -216,7 +216,7 @@ def stability(
 
     Raises
     ------
-    DataError, DimensionError, ParameterError, BudgetError
+    DataError, DimensionError, ParameterError, MemoryBudgetError
         As for `poles`; ParameterError for an epsilon <= 0.
 
     References

@@ -180,7 +180,7 @@ def step_response(sys: LinearSystem, t: np.ndarray | None = None) -> TimeRespons
         t does not rise from >= 0 or misses the sampling instants.
     DataError
         NaN or inf in, or the response overflows.
-    BudgetError
+    MemoryBudgetError
         As for `poles`.
 
     References
@@ -232,7 +232,7 @@ def impulse_response(sys: LinearSystem, t: np.ndarray | None = None) -> TimeResp
         t does not rise from >= 0 or misses the sampling instants.
     DataError
         NaN or inf in, or the response overflows.
-    BudgetError
+    MemoryBudgetError
         As for `poles`.
 
     References
@@ -297,7 +297,7 @@ def forced_response(
         t does not rise, or shapes do not fit.
     DataError
         NaN or inf in, or the response overflows.
-    BudgetError
+    MemoryBudgetError
         As for `poles`.
 
     References

@@ -68,7 +68,7 @@ def zeros(sys: LinearSystem, *, rank_tol: float | None = None, infinite: float =
 
     Raises
     ------
-    DataError, DimensionError, ParameterError, BudgetError
+    DataError, DimensionError, ParameterError, MemoryBudgetError
         As for `poles`.
 
     References

@@ -30,7 +30,7 @@ def build(scene: Scene) -> SpreadingSystem | CrawlerSystem:
 
     Raises
     ------
-    BudgetError
+    MemoryBudgetError
         When the scene would not fit into memory.
     """
     check_scene_memory(scene, run=False)

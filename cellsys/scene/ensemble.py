@@ -12,10 +12,10 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import (
-    BudgetError,
     DamagedRunWarning,
     FileFormatError,
     ForeignRunWarning,
+    MemoryBudgetError,
 )
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.simulate import first_samples, record_shapes, simulate, trajectory_of
@@ -56,7 +56,7 @@ def run_scene(
 
     Raises
     ------
-    BudgetError
+    MemoryBudgetError
         When memory or disk do not hold the run.
     ParameterError
         When another process is writing this run.
@@ -227,7 +227,7 @@ def read_run(folder: str | Path) -> Trajectory:
     try:
         scene = scene_from_plain(reader.header["scene"])
         return _trajectory(reader, build(scene), scene)
-    except (FileFormatError, BudgetError):
+    except (FileFormatError, MemoryBudgetError):
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise FileFormatError(f"{str(folder)!r} does not hold a run of a scene: {error}") from error
@@ -281,7 +281,7 @@ def run_ensemble(
     ------
     ParameterError
         Something that takes no work was given as executor.
-    BudgetError
+    MemoryBudgetError
         When the runs do not fit into memory side by side, or a worker was killed.
     ExecutorError
         When the executor's scheduler or workers are gone.

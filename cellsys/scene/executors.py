@@ -10,7 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
-from cellsys.errors import BudgetError, ExecutorError, ParameterError
+from cellsys.errors import ExecutorError, MemoryBudgetError, ParameterError
 
 _OF_DASK = (
     ("distributed", "CancelledError"),
@@ -57,7 +57,7 @@ def gather(
     ------
     ExecutorError
         When the scheduler or the workers are gone, or take no work.
-    BudgetError
+    MemoryBudgetError
         When a process of a pool was killed.
     """
     waiting: set[Future] = set()
@@ -70,7 +70,7 @@ def gather(
     except BrokenProcessPool:
         # Ctrl-C reaches the workers first: our own interrupt surfaces while we wait.
         time.sleep(1.0)
-        raise BudgetError(
+        raise MemoryBudgetError(
             "a worker process ended before its run was done, killed or out of memory; use fewer "
             "workers, and resume to go on from the last checkpoint"
         ) from None

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellsys.errors import BudgetError
+from cellsys.errors import MemoryBudgetError
 from cellsys.integrate.simulate import SEGMENT
 from cellsys.mechanics.geometry.disc import DENSITY
 from cellsys.mechanics.geometry.membrane import NODES
@@ -112,7 +112,7 @@ def check_scene_memory(scene: Scene, at_a_time: int = 1, *, run: bool = True) ->
 
     Raises
     ------
-    BudgetError
+    MemoryBudgetError
         With what it needs, what is free and what to change.
     """
     need = memory_need(scene, run=run)
@@ -135,12 +135,12 @@ def check_mapping(scenes: Iterable[Scene]) -> None:
 
     Raises
     ------
-    BudgetError
+    MemoryBudgetError
     """
     each = [memory_need(scene).record for scene in scenes]
     left = mapping_room()
     if sum(each) > left.bytes:
-        raise BudgetError(
+        raise MemoryBudgetError(
             f"{len(each)} runs map {size_text(sum(each))} of files when they are read, and "
             f"{size_text(left.bytes)} of addresses are free ({left.bound}); raise the limit, "
             "sample less often, or take fewer runs"

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 from threadpoolctl import threadpool_limits
 
-from cellsys.errors import BudgetError, CellsysError, ExecutorError
+from cellsys.errors import CellsysError, ExecutorError, MemoryBudgetError
 
 THREADS = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS",
@@ -99,7 +99,7 @@ class Workers:
 
         Raises
         ------
-        BudgetError
+        MemoryBudgetError
             When a worker ends before its work is done.
         Exception
             The first that the function raised, when what had begun has come to its end.
@@ -124,7 +124,7 @@ class Workers:
             raise failed
 
 
-def _ended(process: BaseProcess) -> BudgetError:
+def _ended(process: BaseProcess) -> MemoryBudgetError:
     """Why a worker is gone, as far as it can be known."""
     process.join(_LEAVE)
     code = process.exitcode
@@ -135,7 +135,7 @@ def _ended(process: BaseProcess) -> BudgetError:
             "it could not begin or left by itself; a script that starts workers needs "
             '`if __name__ == "__main__":` around what it runs'
         )
-    return BudgetError(
+    return MemoryBudgetError(
         f"a worker process ended before its run was done: {why}. Use fewer workers, and resume to "
         "go on from the last checkpoint"
     )

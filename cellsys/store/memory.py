@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cellsys.arguments import checked
-from cellsys.errors import BudgetError
+from cellsys.errors import MemoryBudgetError
 
 try:
     import resource
@@ -102,17 +102,17 @@ def check_memory(need: float, what: str, cure: str, *, addresses: float = 0.0) -
 
     Raises
     ------
-    BudgetError
+    MemoryBudgetError
     """
     room = memory_room()
     if need > room.bytes:
-        raise BudgetError(
+        raise MemoryBudgetError(
             f"{what} {size_text(need)} of memory and {size_text(room.bytes)} are free "
             f"({room.bound}); {cure}"
         )
     left = address_room()
     if addresses > left.bytes:
-        raise BudgetError(
+        raise MemoryBudgetError(
             f"{what} {size_text(addresses)} of addresses and {size_text(left.bytes)} are free "
             f"({left.bound}); {cure}"
         )

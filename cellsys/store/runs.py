@@ -22,10 +22,10 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import (
-    BudgetError,
     DimensionError,
     FileFormatError,
     LostRunError,
+    MemoryBudgetError,
 )
 from cellsys.store.archive import READ_ERRORS, load_archive, save_archive
 from cellsys.store.atomic import write_json
@@ -98,7 +98,7 @@ class RunWriter:
 
     Raises
     ------
-    BudgetError
+    MemoryBudgetError
         When the disk has no room for the run.
     ParameterError
         When another process is writing this run.
@@ -148,7 +148,7 @@ class RunWriter:
         place = next(p for p in self.partial.parents if p.exists())
         free = shutil.disk_usage(place).free
         if need > free:
-            raise BudgetError(
+            raise MemoryBudgetError(
                 f"this run needs {size_text(need)} on disk and {size_text(free)} are free; "
                 "sample less often or shorten the run"
             )
@@ -172,7 +172,7 @@ class RunWriter:
             shutil.rmtree(self.partial)
             if error.errno != errno.ENOSPC:
                 raise
-            raise BudgetError(
+            raise MemoryBudgetError(
                 f"no room on the disk of {str(self.partial.parent)!r} for this run; free some, or "
                 "sample less often"
             ) from error
@@ -272,7 +272,7 @@ class RunReader:
             raise
         except (*READ_ERRORS, TypeError, AttributeError, OverflowError) as error:
             if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
-                raise BudgetError(
+                raise MemoryBudgetError(
                     f"no memory to map the run {self.folder.name!r} of "
                     f"{str(self.folder.parent)!r}; raise `ulimit -v`, or read fewer runs at a time"
                 ) from error

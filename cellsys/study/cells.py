@@ -27,9 +27,9 @@ from cellsys.scene import Scene, build, run_ensemble, run_scene
 from cellsys.store import write_json, write_text
 from cellsys.study.fields import draw_displacement
 from cellsys.study.files import plain, save_run
-from cellsys.study.measure import matrix_row, read_out_name, texts
+from cellsys.study.html import STYLE, image, table
+from cellsys.study.measure import matrix_row, read_out_name, short_number, texts
 from cellsys.study.reduced_cells import ReducedCells, check_model, reduced_cells
-from cellsys.study.report import _STYLE, _g, _image, _table
 from cellsys.trajectory import Trajectory, cell_names
 
 Progress = Callable[[str, float], None]
@@ -227,24 +227,24 @@ def _write_report(result: CellsStudy, figures: Mapping[str, Path]) -> None:
            "gaps": "gaps and speed of the matrix in them"}  # fmt: skip
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
-        f"<title>{name}</title><style>{_STYLE}</style></head><body>",
+        f"<title>{name}</title><style>{STYLE}</style></head><body>",
         f"<h1>{name}</h1>",
         f"<p class='trust'><b>{html.escape(str(result))}</b></p>",
-        *(_image(path, alt[key]) for key, path in figures.items()),
+        *(image(path, alt[key]) for key, path in figures.items()),
     ]
     if cells:
         rows = list(next(iter(cells.values())))
         told = {c: texts(row) for c, row in cells.items()}
         body = [(read_out_name(r), *(told[c][r] for c in cells)) for r in rows]
-        parts += ["<h2>Read-outs</h2>", _table(("read-out", *cells), body)]
+        parts += ["<h2>Read-outs</h2>", table(("read-out", *cells), body)]
     if result.summary["matrix"]:
         moved = [(read_out_name(k), v) for k, v in texts(result.summary["matrix"]).items()]
-        parts.append(_table(("matrix", "value"), moved))
+        parts.append(table(("matrix", "value"), moved))
     if result.pairs:
         means = result.summary["pairs"]
         rows = list(next(iter(means.values())))
-        body = [(read_out_name(r), *(_g(means[p][r]) for p in means)) for r in rows]
-        parts += ["<h2>Between neighbours</h2>", _table(("pair", *means), body)]
+        body = [(read_out_name(r), *(short_number(means[p][r]) for p in means)) for r in rows]
+        parts += ["<h2>Between neighbours</h2>", table(("pair", *means), body)]
     if result.reduced is not None:
         parts += ["<h2>Reduced cells</h2>", f"<pre>{html.escape(str(result.reduced))}</pre>"]
     parts += [

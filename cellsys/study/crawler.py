@@ -17,8 +17,8 @@ from cellsys.mechanics.crawler_run import CrawlRun, judge
 from cellsys.scene import Scene, build, run_scene
 from cellsys.store import write_json, write_text
 from cellsys.study.files import plain, save_run
-from cellsys.study.measure import read_out_name
-from cellsys.study.report import _STYLE, _g, _image, _table
+from cellsys.study.html import STYLE, image, table
+from cellsys.study.measure import read_out_name, short_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ def cell_table(crawl: CrawlRun) -> dict[str, dict[str, float]]:
     standing still afterwards does not count; without a switch over the whole run. um/s.
     """
     run: Any = crawl.trajectory
-    table = {}
+    values = {}
     for k, cell in enumerate(crawl.system.cells):
         name = f"cell{k + 1}"
         middle = 0.5 * (run.block(f"{name}.lead") + run.block(f"{name}.trail"))
@@ -116,7 +116,7 @@ def cell_table(crawl: CrawlRun) -> dict[str, dict[str, float]]:
         times = crawl.switches(f"{name} ")
         until = int(np.searchsorted(run.t, times[-1])) if times.size else len(run) - 1
         until = max(until, 1)
-        table[name] = {
+        values[name] = {
             "switches": len(times),
             "switches_of_lead": len(crawl.switches(f"{name} lead")),
             "switches_of_trail": len(crawl.switches(f"{name} trail")),
@@ -126,7 +126,7 @@ def cell_table(crawl: CrawlRun) -> dict[str, dict[str, float]]:
             "lead_node_at_end": int(run.block(f"{name}.i_lead")[-1]),
             "trail_node_at_end": int(run.block(f"{name}.i_trail")[-1]),
         }
-    return table
+    return values
 
 
 def _write_report(result: CrawlerStudy, figures: Mapping[str, Path]) -> None:
@@ -134,16 +134,16 @@ def _write_report(result: CrawlerStudy, figures: Mapping[str, Path]) -> None:
     rows = list(next(iter(cells.values())))
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
-        f"<title>{name}</title><style>{_STYLE}</style></head><body>",
+        f"<title>{name}</title><style>{STYLE}</style></head><body>",
         f"<h1>{name}</h1>",
         f"<p class='trust'><b>{html.escape(str(result))}</b></p>",
-        _image(figures["crawler_run"], "lead and trail against time, a tick at every switch"),
-        _table(
+        image(figures["crawler_run"], "lead and trail against time, a tick at every switch"),
+        table(
             ("read-out", *cells),
-            [(read_out_name(r), *(_g(cells[c][r], 4) for c in cells)) for r in rows],
+            [(read_out_name(r), *(short_number(cells[c][r], 4) for c in cells)) for r in rows],
         ),
         "<h2>The chain</h2>",
-        _image(figures["chain_displacement"], "displacement of the chain against time"),
+        image(figures["chain_displacement"], "displacement of the chain against time"),
         "<p class='note'>Crawl speed: from the start to the cell's last switch. "
         f"{html.escape(result.summary['integrator'])}, {result.summary['full_order_s']:.3g} s. "
         "The full-order run only: the default parameters are a working set without dimensions; "

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import html
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,20 +24,9 @@ from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.response.certainty import side
 from cellsys.store import write_text
 from cellsys.study.fields import draw_displacement
+from cellsys.study.html import STYLE, image, table
 from cellsys.study.measure import read_out_name, texts
-from cellsys.study.measure import short_number as _g
-
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 1000px; margin: 2rem auto; padding: 0 1rem;
-       color: #222; }
-h1 { margin-bottom: .2rem; } h2 { margin-top: 2.2rem; border-bottom: 1px solid #ccc; }
-.trust { background: #fff6dd; border-left: 4px solid #d9a400; padding: .7rem 1rem; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-td, th { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid #eee; }
-td:first-child, th:first-child { text-align: left; }
-img { max-width: 100%; } pre { background: #f6f6f6; padding: .7rem; overflow-x: auto; }
-.note { color: #555; font-size: 90%; }
-"""
+from cellsys.study.measure import short_number as short
 
 
 def write_figures(result: Any, system: SpreadingSystem, folder: Path) -> dict[str, Path]:
@@ -89,27 +76,14 @@ def write_figures(result: Any, system: SpreadingSystem, folder: Path) -> dict[st
     return drawn
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    cells = "".join(f"<th>{html.escape(h)}</th>" for h in head)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(str(c))}</td>" for c in row) + "</tr>" for row in rows
-    )
-    return f"<table><tr>{cells}</tr>{body}</table>"
-
-
-def _image(path: Path, alt: str) -> str:
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    return f'<img alt="{html.escape(alt)}" src="data:image/png;base64,{data}">'
-
-
 def _error(value: float) -> str:
-    return _g(value) if value < 1e6 else "diverges"
+    return short(value) if value < 1e6 else "diverges"
 
 
 def _lasts(rate: float, bound: float) -> str:
     """Time constant of a pole, s; in words where its sign is that of a growth, or not known."""
     where = int(side(np.float64(rate), np.float64(bound)))
-    return {-1: _g(-1.0 / rate) if rate else "", 1: "grows"}.get(where, "not decided")
+    return {-1: short(-1.0 / rate) if rate else "", 1: "grows"}.get(where, "not decided")
 
 
 def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
@@ -119,16 +93,16 @@ def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
     bounds = result.poles.note or "+-: rounding; the data are too few to leave some out"
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
-        f"<title>{html.escape(result.scene.name)}</title><style>{_STYLE}</style></head><body>",
+        f"<title>{html.escape(result.scene.name)}</title><style>{STYLE}</style></head><body>",
         f"<h1>{html.escape(result.scene.name)}</h1>",
         f"<p class='trust'><b>{html.escape(summary['trust'])}</b></p>",
         "<h2>The cell on its matrix</h2>",
-        _image(figures["cell_and_matrix"], "cell and matrix, before and after"),
-        _table(
+        image(figures["cell_and_matrix"], "cell and matrix, before and after"),
+        table(
             ("read-out", "value"),
             [(read_out_name(k), v) for k, v in texts(result.magnitudes).items()],
         ),
-        _image(figures["displacement_field"], "displacement field of the matrix"),
+        image(figures["displacement_field"], "displacement field of the matrix"),
         "<p class='note'>Share of the rates that the stepping leaves over: "
         + ", ".join(
             f"{html.escape(k)} {100 * v:.2g} %" for k, v in summary["step_residual_share"].items()
@@ -136,16 +110,16 @@ def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
         + ".</p>",
         f"<h2>Poles of the reduced model</h2><p>{verdict}</p>",
         f"<p>{html.escape(summary['why_lower_order'])}</p>" if summary["why_lower_order"] else "",
-        _image(figures["pole_map"], "pole maps"),
+        image(figures["pole_map"], "pole maps"),
         f"<p class='note'>Circles: how certain each pole is ({html.escape(bounds)}). "
         f"Stability: {html.escape(summary['stability']['verdict'])}"
         f" ({html.escape(summary['stability']['reason'])}).</p>",
-        _table(
+        table(
             ("pole (1/s)", "certainty (1/s)", "time constant (s)"),
             [
                 (
                     f"{p['real']:.3g} {p['imag']:+.3g}j",
-                    _g(p["bound"], 2),
+                    short(p["bound"], 2),
                     _lasts(p["real"], p["bound"]),
                 )
                 for p in summary["poles"]
@@ -156,8 +130,8 @@ def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
         "<h2>The cell by its symmetry</h2>",
         *_equivariant_part(result, figures),
         "<h2>What accuracy costs in time</h2>",
-        _image(figures["error_against_order"], "error against order and against time"),
-        _table(
+        image(figures["error_against_order"], "error against order and against time"),
+        table(
             ("model", "m", "error on cells", "error on matrix", "floor", "roll-out (ms)"),
             [
                 (
@@ -165,8 +139,8 @@ def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
                     str(r.order),
                     _error(r.error["cells"]),
                     _error(r.error["matrix"]) if "matrix" in r.error else "-",
-                    _g(r.floor["cells"]),
-                    _g(r.roll_out_ms),
+                    short(r.floor["cells"]),
+                    short(r.roll_out_ms),
                 )
                 for r in result.sweep.rows
             ],
@@ -185,25 +159,29 @@ def _loop_part(result: Any, figures: dict[str, Path], verdict: str) -> list[str]
     if result.margins is None:
         return [f"<p>No loop: {html.escape(str(loop['why_not']))}.</p>"]
     m = result.margins
+    at = [
+        short(w)
+        for w in (m.gain_margin_frequency, m.phase_margin_frequency, m.delay_margin_frequency)
+    ]
     sensor = loop["sensor_error_deg"]
     stable = "stable" if m.closed_loop_stable else "not stable: read the margins as distances"
     error = loop["heading_error_deg"]
     return [
-        _image(figures["bode"], "Bode plot of the return ratio"),
-        _table(
+        image(figures["bode"], "Bode plot of the return ratio"),
+        table(
             ("margin", "value", "at (rad/s)"),
             [
-                ("gain margin: factor on kappa", _g(m.gain_margin), _g(m.gain_margin_frequency)),
-                ("phase margin (deg)", _g(m.phase_margin), _g(m.phase_margin_frequency)),
-                ("delay margin of the loop (s)", _g(m.delay_margin), _g(m.delay_margin_frequency)),
+                ("gain margin: factor on kappa", short(m.gain_margin), at[0]),
+                ("phase margin (deg)", short(m.phase_margin), at[1]),
+                ("delay margin of the loop (s)", short(m.delay_margin), at[2]),
             ],
         ),
         f"<p class='note'>Closed loop {stable}. {html.escape(loop['linearisation'])}. "
         f"{verdict}</p>",
-        _image(figures["polarity"], "polarity against time"),
+        image(figures["polarity"], "polarity against time"),
         f"<p class='note'>Heading error of the reduced loop: {error['rms']:.3g} deg rms, "
-        f"{error['end']:.3g} deg at the end. Sensor: {_g(sensor['held_out'])} deg held out, "
-        f"{_g(sensor['constant_direction'])} deg for the best constant direction.</p>",
+        f"{error['end']:.3g} deg at the end. Sensor: {short(sensor['held_out'])} deg held out, "
+        f"{short(sensor['constant_direction'])} deg for the best constant direction.</p>",
     ]
 
 
@@ -221,14 +199,14 @@ def _equivariant_part(result: Any, figures: dict[str, Path]) -> list[str]:
     if loop.get("margins"):
         m = loop["margins"]
         heading += (
-            f"Margins of that loop at its end: gain {_g(m['gain_margin_on_kappa'])} on kappa, "
-            f"phase {_g(m['phase_margin_deg'])} deg, delay {_g(m['delay_margin_s'])} s."
+            f"Margins of that loop at its end: gain {short(m['gain_margin_on_kappa'])} on kappa, "
+            f"phase {short(m['phase_margin_deg'])} deg, delay {short(m['delay_margin_s'])} s."
         )
     elif loop.get("why_no_margins"):
         heading += f"No margins: {html.escape(loop['why_no_margins'])}."
     return [
         f"<p>{html.escape(study.model.card.verdict)}</p>",
-        _image(figures["charges"], "poles by charge"),
+        image(figures["charges"], "poles by charge"),
         "<p class='note'>Poles frozen at the end of the training runs. Charge 0 is spreading and "
         "contraction, 1 translation and polarity, 2 elongation. Every pole of a charge above 0 "
         f"occurs twice in the real plant. {heading}</p>",

@@ -7,7 +7,7 @@ import pytest
 from cellsys.errors import CellsysError
 from cellsys.integrate import CVODES, DOP853, Exponential, simulate
 from cellsys.laws.polarity import exact_steps, heading_features, heading_rows
-from cellsys.loop import MPol, Perturb, PolarityLaw
+from cellsys.loop import AntiparallelTurn, MPol, PolarityLaw
 from cellsys.system import Block, OdeSystem
 from tests import naive
 from tests.hard.stress import SEED, Case, Choice, Power, Real, hold
@@ -73,7 +73,7 @@ def test_near_the_antipode(gap):
         assert np.abs(lost - want).max() > 0.1
     for p_exact in (-X, -Y, np.array([0.0, 0.0, -3.0])):
         assert np.array_equal(law.step(p_exact, -p_exact, 1e7), p_exact)
-    leaves = PolarityLaw(kappa=1.0, antiparallel=Perturb(seed=3)).step(-X, X, 20.0)
+    leaves = PolarityLaw(kappa=1.0, antiparallel=AntiparallelTurn(seed=3)).step(-X, X, 20.0)
     assert between(leaves, X) < 1e-5
 
 

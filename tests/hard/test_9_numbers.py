@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cellsys as cs
-from cellsys.errors import BudgetError, CellsysError, DataError
+from cellsys.errors import CellsysError, DataError, MemoryBudgetError
 from cellsys.integrate import DOP853
 from tests import naive
 from tests.loop.systems import make
@@ -167,7 +167,7 @@ def test_counts_of_cells():
             cs.couple(one, n_cells=K)
     cells = cs.couple(one, n_cells=10**12)
     assert sum(cells.pole_set().multiplicity) == 2 * 10**12
-    with pytest.raises(BudgetError, match="GB"):
+    with pytest.raises(MemoryBudgetError, match="GB"):
         cells.simulate([0.0, 1.0], DOP853(rtol=1e-6, atol=1e-8))
 
 

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from cellsys.errors import (
-    BudgetError,
     CellsysError,
     FileFormatError,
+    MemoryBudgetError,
     ParameterError,
     SceneError,
 )
@@ -90,7 +90,7 @@ def built(table):
 @pytest.mark.parametrize(
     ("place", "value", "kind"),
     [
-        ("matrix.nodes", 10**9, BudgetError),
+        ("matrix.nodes", 10**9, MemoryBudgetError),
         ("matrix.nodes", 10**30, SceneError),
         ("sample", "4e-11 s", SceneError),  # 1e12 samples
         ("duration", "1e12 s", SceneError),
@@ -122,7 +122,7 @@ def test_a_chain_of_a_billion_nodes_is_refused():
     text = text_of("crawler")
     table = tomllib.loads(text)
     table["matrix"]["nodes"] = 10**9
-    with bounded(0.05), pytest.raises(BudgetError, match="GB"):
+    with bounded(0.05), pytest.raises(MemoryBudgetError, match="GB"):
         build(Scene.parse(table))
 
 
@@ -139,7 +139,7 @@ def test_a_hundred_thousand_cells_are_refused():
     assert time.process_time() - began < 20.0
     assert naive.pairs_compared(len(cells)) > 4e9
     began = time.process_time()
-    with bounded(0.05), pytest.raises(BudgetError, match=r"100000 cells of .* GB"):
+    with bounded(0.05), pytest.raises(MemoryBudgetError, match=r"100000 cells of .* GB"):
         build(scene)
     assert time.process_time() - began < 5.0
 
@@ -257,7 +257,7 @@ def test_a_full_disk_is_an_error_not_a_dead_process(tmp_path):
     full_disk(disk)
     try:
         out, err = python(FULL, disk, "ours").communicate(timeout=60)
-        assert out.split() == ["BudgetError"], err
+        assert out.split() == ["MemoryBudgetError"], err
         assert list(disk.iterdir()) == []
         dead = python(FULL, disk, "naive")
         dead.communicate(timeout=60)

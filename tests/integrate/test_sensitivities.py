@@ -21,7 +21,7 @@ def decay(rate=0.3, push=2.0):
 
 def test_linear_decay_in_closed_form():
     t = np.linspace(0, 5, 6)
-    found = cs.sensitivities(decay(), TIGHT, t)
+    found = cs.parameter_sensitivities(decay(), TIGHT, t)
     e = np.exp(-0.3 * t)
     np.testing.assert_allclose(found.of("push")[:, 0], (1 - e) / 0.3, atol=1e-8)
     by_rate = -t * e - 2.0 / 0.09 * (1 - e) + 2.0 / 0.3 * t * e
@@ -39,7 +39,7 @@ def test_loop_by_kappa_and_force_against_differences():
     np.testing.assert_allclose(
         cs.simulate(system, TIGHT, t, auxiliaries=False).x, loop.simulate(t, TIGHT).x, atol=1e-8
     )
-    found = cs.sensitivities(system, TIGHT, t)
+    found = cs.parameter_sensitivities(system, TIGHT, t)
     gradient, _ = cs.end_gradient(system, TIGHT, t, np.ones(9))
     import dataclasses
 
@@ -73,9 +73,9 @@ def test_poles_by_kappa():
 
 def test_refusals():
     with pytest.raises(ParameterError, match="ParametricSystem"):
-        cs.sensitivities(make(2).system, TIGHT, np.array([0.0, 1.0]))
+        cs.parameter_sensitivities(make(2).system, TIGHT, np.array([0.0, 1.0]))
     with pytest.raises(ParameterError, match="no parameter 'mass'"):
-        cs.sensitivities(decay(), TIGHT, np.array([0.0, 1.0]), parameters=["mass"])
+        cs.parameter_sensitivities(decay(), TIGHT, np.array([0.0, 1.0]), parameters=["mass"])
     with pytest.raises(DimensionError):
         cs.end_gradient(decay(), TIGHT, np.array([0.0, 1.0]), [1.0, 2.0])
     with pytest.raises(ParameterError, match="defective"):

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from cellsys.errors import (
-    BudgetError,
     DataError,
     DimensionError,
     IntegrationError,
+    MemoryBudgetError,
     NotSymbolicError,
     ParameterError,
 )
@@ -301,7 +301,7 @@ def test_a_record_larger_than_memory_is_refused_with_the_estimate():
             return {"d": np.broadcast_to(0.0, (10**7, 3))}
 
     wide = Wide(states=["x"], x0=[1.0])
-    with pytest.raises(BudgetError, match=r"needs \d+\.\d GB .* sample less often"):
+    with pytest.raises(MemoryBudgetError, match=r"needs \d+\.\d GB .* sample less often"):
         simulate(wide, ExplicitEuler(step=1.0), big)
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.integrate import CVODES, simulate
-from cellsys.loop import Perturb, PolarityLaw, Stay
+from cellsys.loop import AntiparallelStay, AntiparallelTurn, PolarityLaw
 from cellsys.system import Block, OdeSystem
 from tests import naive
 
@@ -87,7 +87,7 @@ def test_length_is_kept_over_a_million_steps_in_full():
 
 
 def test_antiparallel_stay():
-    law = PolarityLaw(kappa=1 / 60, antiparallel=Stay())
+    law = PolarityLaw(kappa=1 / 60, antiparallel=AntiparallelStay())
     for p in (np.array([1.0, 0, 0]), np.array([0.0, 0, 2.0]), np.array([0.0, -3.0, 0])):
         for size in (1e-8, 1.0, 1e8):
             assert np.array_equal(law.step(p, -size * p, 1e9), p)
@@ -112,11 +112,11 @@ def test_perturb_leaves_the_antipode_the_same_way_every_time():
     d, p = np.array([1.0, 0, 0]), np.array([-1.0, 0, 0])
     sides = set()
     for seed in range(8):
-        law = PolarityLaw(kappa=1.0, antiparallel=Perturb(seed=seed))
+        law = PolarityLaw(kappa=1.0, antiparallel=AntiparallelTurn(seed=seed))
         first = law.step(p, d, 0.1)
         assert np.array_equal(first, law.step(p, d, 0.1))
         assert np.array_equal(
-            first, PolarityLaw(kappa=1.0, antiparallel=Perturb(seed=seed)).step(p, d, 0.1)
+            first, PolarityLaw(kappa=1.0, antiparallel=AntiparallelTurn(seed=seed)).step(p, d, 0.1)
         )
         assert first[1] != 0.0
         assert first[2] == 0.0
@@ -126,7 +126,7 @@ def test_perturb_leaves_the_antipode_the_same_way_every_time():
         sides.add(np.sign(first[1]))
     assert sides == {-1.0, 1.0}
     away = unit(0.5, 0.0)
-    law = PolarityLaw(kappa=1.0, antiparallel=Perturb(seed=1))
+    law = PolarityLaw(kappa=1.0, antiparallel=AntiparallelTurn(seed=1))
     assert np.array_equal(law.step(away, d, 0.1), PolarityLaw(kappa=1.0).step(away, d, 0.1))
     assert np.array_equal(law.step(p, np.zeros(3), 1.0), p)
 
@@ -142,8 +142,8 @@ def test_perturb_leaves_the_antipode_the_same_way_every_time():
     ],
 )
 def test_perturb_refuses(options):
-    with pytest.raises(ParameterError, match="Perturb"):
-        Perturb(**options)
+    with pytest.raises(ParameterError, match="AntiparallelTurn"):
+        AntiparallelTurn(**options)
 
 
 def test_no_direction_and_no_heading():

@@ -6,8 +6,8 @@ import pytest
 import scipy.linalg as sla
 
 from cellsys.errors import (
-    BudgetError,
     DimensionError,
+    MemoryBudgetError,
     ParameterError,
     RepresentationError,
 )
@@ -310,15 +310,15 @@ def test_singular_graph_mode():
 
 def test_refusals_name_the_route_that_works():
     m = model(m=20, slowest=0.1)
-    with pytest.raises(BudgetError, match="pole_set"):
+    with pytest.raises(MemoryBudgetError, match="pole_set"):
         couple(m, 10**6).poles()
-    with pytest.raises(BudgetError, match="pole_set"):
+    with pytest.raises(MemoryBudgetError, match="pole_set"):
         couple(m, 1000).plant()
     w = np.triu(np.ones((300, 300)), 1) * 1e-3
     cells = couple(m, graph=w)
     assert cells.route.startswith("matrix-free")
     for call in (cells.poles, cells.pole_set, cells.stability, cells.plant):
-        with pytest.raises(BudgetError, match="symmetric"):
+        with pytest.raises(MemoryBudgetError, match="symmetric"):
             call()
     for form in (Superposition(), Feedback(), MappedSuperposition(P_map=np.eye(20))):
         with pytest.raises(RepresentationError, match=f"{form.name} needs the rows of V"):
@@ -346,7 +346,7 @@ def test_large_sparse_graphs_are_matrix_free():
     ring = sp.diags_array([np.full(K - 1, 0.1)] * 2, offsets=[-1, 1], shape=(K, K))
     cells = couple(m, graph=InteractionGraph(sp.csr_array(ring)), coupling=Feedback())
     assert cells.route.startswith("matrix-free: too many cells")
-    with pytest.raises(BudgetError, match="modal route"):
+    with pytest.raises(MemoryBudgetError, match="modal route"):
         cells.poles()
     run = cells.simulate([0.0, 5.0], DOP853(rtol=1e-6, atol=1e-6))
     # ends apart, every cell has the same two neighbours and the same start

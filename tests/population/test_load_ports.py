@@ -7,9 +7,9 @@ import pytest
 import scipy.linalg as sla
 
 from cellsys.errors import (
-    BudgetError,
     DimensionError,
     IntegrationError,
+    MemoryBudgetError,
     ParameterError,
     RepresentationError,
 )
@@ -133,7 +133,7 @@ def test_certificate_needs_no_matrix(dt):
     cells = couple(cell(dt=dt), coupling=LoadPorts(field(), x, theta, PORT))
     assert cells.stability().verdict == "stable for every K and every placement"
     assert cells.route.startswith("certificate only")
-    with pytest.raises(BudgetError, match="certifies any number"):
+    with pytest.raises(MemoryBudgetError, match="certifies any number"):
         cells.poles()
 
 

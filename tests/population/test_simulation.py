@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from cellsys.errors import BudgetError, IntegrationError, ParameterError
+from cellsys.errors import IntegrationError, MemoryBudgetError, ParameterError
 from cellsys.integrate import DOP853, RungeKutta4, simulate
 from cellsys.laws.polarity import exact_step, exact_steps
-from cellsys.loop import Perturb, PolarityLaw
+from cellsys.loop import AntiparallelTurn, PolarityLaw
 from cellsys.model import LatentModel
 from cellsys.population import (
     Feedback,
@@ -207,7 +207,7 @@ def test_matrix_free_runs():
             cells.simulate(t)
     strong = couple(m, graph=30 * w)
     strong.__dict__["route"] = "matrix-free: forced by the test"
-    with pytest.raises(BudgetError, match="nonsingular"):
+    with pytest.raises(MemoryBudgetError, match="nonsingular"):
         strong.simulate(t, TIGHT)
 
 
@@ -231,7 +231,7 @@ def test_antiparallel_choice_is_followed():
     d = base.simulate([0.0, 1.0], TIGHT).d[0, 0]
     p0 = -d / np.linalg.norm(d)
     still = couple(m, 2, controller=PolarityLaw(1 / 60))
-    moved = couple(m, 2, controller=PolarityLaw(1 / 60, Perturb(angle=0.01)))
+    moved = couple(m, 2, controller=PolarityLaw(1 / 60, AntiparallelTurn(angle=0.01)))
     a = still.simulate([0.0, 1e-3], DOP853(rtol=1e-8, atol=1e-8), p0=p0).p[-1, 0]
     b = moved.simulate([0.0, 1e-3], DOP853(rtol=1e-2, atol=1e-2), p0=p0).p[-1, 0]
     assert np.arccos(min(1.0, a @ p0)) < 1e-4

@@ -8,7 +8,7 @@ import pytest
 
 import cellsys as cs
 from cellsys.errors import DataError, ParameterError
-from cellsys.reduction import LeastSquares, Ridge, grid, learning_curve, reduce, select_model
+from cellsys.reduction import LeastSquares, Ridge, candidates, learning_curve, reduce, select_model
 from cellsys.reduction.comparison import described
 from cellsys.reduction.selection import deal
 from tests.reduction.systems import spreading_data
@@ -31,11 +31,11 @@ class Spy:
 
 
 def test_grid():
-    methods = grid(Ridge(), {"ridge": [1e-3, 1.0], "step": [5.0, 10.0, 20.0]})
+    methods = candidates(Ridge(), {"ridge": [1e-3, 1.0], "step": [5.0, 10.0, 20.0]})
     assert len(methods) == 6
     assert methods[1] == Ridge(ridge=1e-3, step=10.0)
     with pytest.raises(ParameterError, match="it has ridge, step, svd"):
-        grid(Ridge(), {"rigde": [1.0]})
+        candidates(Ridge(), {"rigde": [1.0]})
 
 
 def test_a_method_in_words():
@@ -68,7 +68,7 @@ def test_nothing_that_is_measured_on_was_learned_from():
 
 def test_the_choice_is_the_best_candidate_and_the_nested_error_is_that_of_its_folds():
     data = spreading_data(runs=6, T=60)
-    methods = [LeastSquares(), *grid(Ridge(), {"ridge": [1e-2, 100.0]})]
+    methods = [LeastSquares(), *candidates(Ridge(), {"ridge": [1e-2, 100.0]})]
     chosen = select_model(data, methods, [3, 10], folds=3, inner=2)
     assert chosen.rows[0].error == min(r.error for r in chosen.rows)
     assert (chosen.settings, chosen.order) == (chosen.rows[0].settings, chosen.rows[0].order)
@@ -100,7 +100,7 @@ def test_choosing_on_the_test_runs_flatters():
     rng = np.random.default_rng(1)
     runs = [np.cumsum(rng.standard_normal((12, 3)), axis=0) for _ in range(5)]
     data = cs.snapshots(runs, dt=1.0, scale="none")
-    methods = grid(Ridge(), {"ridge": [0.0, 0.03, 0.3, 3.0, 30.0], "step": [1.0, 2.0, 3.0]})
+    methods = candidates(Ridge(), {"ridge": [0.0, 0.03, 0.3, 3.0, 30.0], "step": [1.0, 2.0, 3.0]})
     chosen = select_model(data, methods, [1, 2, 3], folds=5, inner=4)
     naive = min(r.error for r in chosen.rows)  # selection and report on the same folds
     assert naive == chosen.validation_error

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from cellsys.errors import BudgetError, DataError, DimensionError, ParameterError
+from cellsys.errors import DataError, DimensionError, MemoryBudgetError, ParameterError
 from cellsys.response import Realization, frequency_response, poles
 from tests.response import gallery
 
@@ -116,9 +116,9 @@ def test_sparse_equals_dense_and_is_never_densified() -> None:
     s = 1j * omega
     g = (s + 2 - np.sqrt(s + 4) * np.sqrt(s)) / 2
     np.testing.assert_allclose(frequency_response(large, omega).response[0, 0], g, rtol=1e-11)
-    with pytest.raises(BudgetError, match="10000 x 10000"):
+    with pytest.raises(MemoryBudgetError, match="10000 x 10000"):
         poles(large)
-    with pytest.raises(BudgetError, match="pass omega"):
+    with pytest.raises(MemoryBudgetError, match="pass omega"):
         frequency_response(large)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import cellsys as cs
-from cellsys.errors import BudgetError, IntegrationError, SceneError
+from cellsys.errors import IntegrationError, MemoryBudgetError, SceneError
 from cellsys.integrate import LSODA, Radau
 from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.crawler import Crawler, build_crawlers
@@ -159,7 +159,7 @@ def test_parts_of_the_other_kind_are_refused_in_python_too():
         dataclasses.replace(scene, commands=Commands(History((0.0,), (0.0,)), None))
     with pytest.raises(SceneError, match="no headings to train on"):
         cs.training_scenes(scene)
-    with pytest.raises(BudgetError, match=r"chain of 10+ nodes needs about .* GB .* free"):
+    with pytest.raises(MemoryBudgetError, match=r"chain of 10+ nodes needs about .* GB .* free"):
         build(dataclasses.replace(scene, matrix=ChainScene(nodes=10**12)))
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import cellsys
-from cellsys.errors import BudgetError
+from cellsys.errors import MemoryBudgetError
 from cellsys.scene import Scene, build, load_scene, run_ensemble, run_scene
 from cellsys.scene import memory as room
 from cellsys.scene.memory import matrix_nodes, memory_need
@@ -129,7 +129,7 @@ def test_workers_are_counted_together(tmp_path, monkeypatch):
     scenes = [scene, dataclasses.replace(scene, seed=9)]
     one = memory_need(scene).resident
     monkeypatch.setattr(limits, "memory_room", lambda: Room(1.5 * one, "a test"))
-    with pytest.raises(BudgetError, match=r"^2 runs at a time.*use fewer workers"):
+    with pytest.raises(MemoryBudgetError, match=r"^2 runs at a time.*use fewer workers"):
         run_ensemble(scenes, tmp_path, workers=2)
     assert list(tmp_path.iterdir()) == []
 
@@ -138,7 +138,7 @@ def test_runs_that_cannot_be_mapped_are_refused_before_they_are_made(tmp_path, m
     scene = Scene.parse(tiny("membrane_elasticity", cells=1))
     each = memory_need(scene).record
     monkeypatch.setattr(room, "mapping_room", lambda: Room(1.5 * each, "ulimit -v"))
-    with pytest.raises(BudgetError, match=r"2 runs map .* of files .* \(ulimit -v\)"):
+    with pytest.raises(MemoryBudgetError, match=r"2 runs map .* of files .* \(ulimit -v\)"):
         run_ensemble([scene, dataclasses.replace(scene, seed=9)], tmp_path)
     assert list(tmp_path.iterdir()) == []
     run = run_scene(scene, tmp_path)
@@ -153,7 +153,7 @@ def test_a_long_chain_is_refused_for_the_integrator_alone():
     long = dataclasses.replace(scene, matrix=dataclasses.replace(scene.matrix, nodes=300_000))
     assert build(long).states.size > 300_000
     # naive: a MemoryError of numpy about an array nobody asked for
-    with pytest.raises(BudgetError, match=r"a chain of 300000 nodes needs .* make the chain shor"):
+    with pytest.raises(MemoryBudgetError, match=r"chain of 300000 nodes needs .* the chain shorter"):
         run_scene(long)
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellsys.errors import BudgetError, CellsysError, SceneError
+from cellsys.errors import CellsysError, MemoryBudgetError, SceneError
 from cellsys.mechanics.effects.protocol import Element
 from cellsys.scene import Scene, build, load_scene, run_scene, scene_schema, training_scenes
 from cellsys.scene.build import matrix_nodes
@@ -141,7 +141,7 @@ def test_a_load_beside_the_disc_is_refused_when_built():
 @pytest.mark.parametrize("nodes", [10**9, 10**12])
 def test_a_scene_that_does_not_fit_into_memory_is_refused_with_the_estimate(nodes):
     scene = Scene.parse(changed("matrix.nodes", nodes))
-    with pytest.raises(BudgetError, match=r"nodes needs about .* GB .* free"):
+    with pytest.raises(MemoryBudgetError, match=r"nodes needs about .* GB .* free"):
         build(scene)
     wide = dataclasses.replace(scene.matrix, diameter=1e6, nodes=None)
     assert matrix_nodes(wide) > 10**9
@@ -149,9 +149,9 @@ def test_a_scene_that_does_not_fit_into_memory_is_refused_with_the_estimate(node
 
 def test_a_record_that_does_not_fit_is_refused_before_the_run_starts(tmp_path):
     long = Scene.parse(changed("duration", "4e7 s"))
-    with pytest.raises(BudgetError, match=r"needs .* GB of memory .* sample less often"):
+    with pytest.raises(MemoryBudgetError, match=r"needs .* GB of memory .* sample less often"):
         run_scene(long)
-    with pytest.raises(BudgetError, match=r"GB on disk"):
+    with pytest.raises(MemoryBudgetError, match=r"GB on disk"):
         run_scene(long, tmp_path)
     assert list(tmp_path.iterdir()) == []
 

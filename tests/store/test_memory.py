@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import cellsys
-from cellsys.errors import BudgetError
+from cellsys.errors import MemoryBudgetError
 from cellsys.store import memory
 from cellsys.store.memory import Room, available_memory, cgroup_room, check_memory, size_text
 
@@ -38,7 +38,7 @@ def test_an_amount_in_words_is_the_amount(amount):
 
 def test_a_refusal_says_what_is_needed_what_is_free_and_why():
     said = r"^x needs .* GB of memory and .* are free \(.*\); stop$"
-    with pytest.raises(BudgetError, match=said):
+    with pytest.raises(MemoryBudgetError, match=said):
         check_memory(1e30, "x needs", "stop")
     check_memory(1.0, "x needs", "stop", addresses=1.0)
 
@@ -116,7 +116,7 @@ def test_files_that_say_nothing_bound_nothing(text, tmp_path):
 def test_the_least_counts(monkeypatch):
     monkeypatch.setattr(memory, "cgroup_room", lambda: [Room(5.0, "cgroup"), Room(7.0, "other")])
     assert available_memory() == 5.0
-    with pytest.raises(BudgetError, match=r"6 bytes of memory and 5 bytes are free \(cgroup\)"):
+    with pytest.raises(MemoryBudgetError, match=r"6 bytes of memory and 5 bytes are free \(cg"):
         check_memory(6.0, "x needs", "stop")
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellsys.errors import BudgetError, FileFormatError
+from cellsys.errors import FileFormatError, MemoryBudgetError
 from cellsys.store import (
     RunReader,
     RunWriter,
@@ -240,7 +240,7 @@ def test_damaged_finished_runs_are_refused(tmp_path):
 
 
 def test_a_run_larger_than_the_disk_is_refused_before_anything_is_written(tmp_path):
-    with pytest.raises(BudgetError, match="GB on disk"):
+    with pytest.raises(MemoryBudgetError, match="GB on disk"):
         RunWriter(tmp_path / "run", {"x": (10**9, 10**6)}, {})
     assert list(tmp_path.iterdir()) == []
 

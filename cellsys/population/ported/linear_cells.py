@@ -12,7 +12,7 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.contracts import Integrator
 from cellsys.drawable import Drawable
-from cellsys.errors import BudgetError
+from cellsys.errors import MemoryBudgetError
 from cellsys.loop import PolarityLaw
 from cellsys.population.poleset import PoleSet, pole_set
 from cellsys.population.ported.footprint import (
@@ -121,7 +121,7 @@ class PortedCells(Drawable):
 
     def _afford(self, what: str) -> None:
         if self.n_states > DENSE_LIMIT:
-            raise BudgetError(
+            raise MemoryBudgetError(
                 f"{what} makes a dense matrix of K m + order = {self.n_states} > {DENSE_LIMIT} "
                 "rows; stability() certifies any number of cells without it, fewer modes of the "
                 "field or fewer cells make it possible"

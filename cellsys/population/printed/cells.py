@@ -20,7 +20,7 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.contracts import Integrator
 from cellsys.drawable import Drawable
-from cellsys.errors import BudgetError
+from cellsys.errors import MemoryBudgetError
 from cellsys.loop import ClosedLoop
 from cellsys.model import LatentModel
 from cellsys.population.graph import InteractionGraph
@@ -111,7 +111,7 @@ class CoupledCells(Drawable):
 
     def _refuse_matrix_free(self, what: str, works: str) -> None:
         if self.route.startswith("matrix-free"):
-            raise BudgetError(
+            raise MemoryBudgetError(
                 f"{what} needs the dense route, limited to K m <= {DENSE_LIMIT}, and the route is "
                 f"{self.route}; {works}, or make the weights symmetric (graph route) or all alike "
                 "(modal route, any number of cells)"
@@ -256,7 +256,7 @@ class CoupledCells(Drawable):
 
         Raises
         ------
-        BudgetError
+        MemoryBudgetError
             On the matrix-free route.
         """
         return self._poles
@@ -266,12 +266,12 @@ class CoupledCells(Drawable):
 
         Raises
         ------
-        BudgetError
+        MemoryBudgetError
             When K m > 1e6 (`pole_set` has them with multiplicities), or on the matrix-free route.
         """
         self._refuse_matrix_free("poles()", "rightmost() gives the rightmost ones of Feedback")
         if self.n_cells * self.order > POLE_LIMIT:
-            raise BudgetError(
+            raise MemoryBudgetError(
                 f"K m = {self.n_cells * self.order} poles are more than {POLE_LIMIT}; pole_set() "
                 "gives the distinct ones with their multiplicities for any K"
             )
@@ -319,7 +319,7 @@ class CoupledCells(Drawable):
     def _checked_blocks(self, what: str) -> list[ModeBlock]:
         self._refuse_matrix_free(what, "simulate() works")
         if self.n_cells * self.order > DENSE_LIMIT:
-            raise BudgetError(
+            raise MemoryBudgetError(
                 f"{what} makes a dense matrix of K m = {self.n_cells * self.order} > {DENSE_LIMIT} "
                 "rows; pole_set(), stability() and simulate() work for any K on this route"
             )

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.drawable import Drawable
-from cellsys.errors import BudgetError, ParameterError
+from cellsys.errors import MemoryBudgetError, ParameterError
 from cellsys.population.poleset import PoleSet, pole_set
 
 
@@ -66,7 +66,9 @@ def linearize(cells: Any, at: Any = None) -> CoupledLoop:
             "linearize needs a controller: a model with heading features as inputs and a sensor"
         )
     if cells.modes is None:
-        raise BudgetError("linearize needs the modal or graph route: make the weights symmetric")
+        raise MemoryBudgetError(
+            "linearize needs the modal or graph route: make the weights symmetric"
+        )
     point = cells.loop.linearize(at)
     if len(point.slow):
         raise ParameterError("linearize of coupled cells sets no slow modes apart")

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from cellsys.errors import BudgetError, ParameterError
+from cellsys.errors import MemoryBudgetError, ParameterError
 from cellsys.population.headings import commands, rates, sensed
 from cellsys.population.printed.propagators import Propagators
 from cellsys.store.memory import check_memory
@@ -61,7 +61,7 @@ class Whole:
         # I + w (x) P is nonsingular for sure when |w| |P| < 1 in some norm.
         size = float(np.abs(w).sum(axis=1).max()) * float(np.clip(1 - cells.rank.gap, 0, 1).max())
         if not size < 1:
-            raise BudgetError(
+            raise MemoryBudgetError(
                 f"{cells.coupling.name} on the matrix-free route needs I + w (x) P nonsingular, "
                 f"shown by row sums of |w| times |P| < 1, and they reach {size:.3g}; scale the "
                 "weights down, make them symmetric (graph route), or use Feedback()"

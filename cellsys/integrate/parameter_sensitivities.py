@@ -107,7 +107,7 @@ class Sensitivities:
 
 
 @checked
-def sensitivities(
+def parameter_sensitivities(
     system: ParametricSystem,
     integrator: Integrator,
     t: np.ndarray,
@@ -155,7 +155,7 @@ def end_gradient(
 ) -> tuple[dict[str, float], np.ndarray]:
     """Adjoint gradient of w . x(t_end): by every parameter, and by the initial state (n,).
 
-    Raises are those of `sensitivities`; DimensionError when the weights are not (n,).
+    Raises are those of `parameter_sensitivities`; DimensionError when the weights are not (n,).
     """
     import casadi as ca
 
