@@ -22,7 +22,7 @@ from cellsys.mechanics.commands import Commands
 from cellsys.mechanics.crawler import Crawler, check_places
 from cellsys.mechanics.effects.protocol import Effect
 from cellsys.mechanics.geometry.chain import Chain
-from cellsys.scene.tables import Angle, Count, Extends, Sample, Table, Time, amount
+from cellsys.scene.tables import Angle, Count, Extends, Sample, Time, TomlTable, amount
 
 # Switch times within 1e-7 s of a reference at 1e-12. LSODA changes to BDF by itself where a small
 # drag of the attached nodes makes the chain stiff, so that one method serves every chain.
@@ -66,14 +66,14 @@ def _fields(model: type, units: Mapping[str, str]) -> dict[str, Any]:
 
 _ChainTable = create_model(
     "ChainTable",
-    __base__=Table,
+    __base__=TomlTable,
     kind=(Literal["chain"], "chain"),
     nodes=(Annotated[Count, Field(lt=2**53)], Chain().nodes),
     **_fields(Chain, _CHAIN),
 )
 _CrawlerTable = create_model(
     "CrawlerTable",
-    __base__=Table,
+    __base__=TomlTable,
     polarity=(Angle, 0.0),
     trail_node=(Count, Crawler().trail_node),
     lead_node=(Count, Crawler().lead_node),
@@ -81,7 +81,7 @@ _CrawlerTable = create_model(
 )
 
 
-class ChainSceneTable(Table):
+class ChainSceneTable(TomlTable):
     """A scene on a chain."""
 
     extends: Extends = None

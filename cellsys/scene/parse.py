@@ -22,17 +22,17 @@ from cellsys.scene.tables import (
     CommandsTable,
     DiscSceneTable,
     DiscTable,
-    Table,
+    TomlTable,
     effects_table,
     explain,
     with_effects,
 )
 
-KINDS: dict[str, type[Table]] = {"disc": DiscSceneTable, "chain": ChainSceneTable}
+KINDS: dict[str, type[TomlTable]] = {"disc": DiscSceneTable, "chain": ChainSceneTable}
 
 
 @lru_cache(maxsize=64)
-def _kinds(names: tuple[str, ...], chosen: tuple[type[Effect], ...]) -> dict[str, type[Table]]:
+def _kinds(names: tuple[str, ...], chosen: tuple[type[Effect], ...]) -> dict[str, type[TomlTable]]:
     table = effects_table(names, chosen)
     return {kind: with_effects(scene, table) for kind, scene in KINDS.items()}
 

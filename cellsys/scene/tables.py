@@ -16,7 +16,7 @@ from cellsys.mechanics.effects.protocol import Effect
 from cellsys.units import quantity
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A TOML table whose unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -49,7 +49,7 @@ Count = Annotated[int, Field(strict=True)]
 def _history(unit: str, name: str) -> type[BaseModel]:
     return create_model(
         name,
-        __base__=Table,
+        __base__=TomlTable,
         times=(list[Time], Field(min_length=1)),
         values=(list[amount(unit)], Field(min_length=1)),
     )
@@ -64,7 +64,7 @@ Extends = Annotated[
 ]
 
 
-class CommandsTable(Table):
+class CommandsTable(TomlTable):
     """Prescribed heading and amplitude."""
 
     heading: _AngleHistory | None = None  # type: ignore[valid-type]
@@ -86,7 +86,7 @@ def _effect_table(effect: type[Effect]) -> type[BaseModel]:
             kind | None,
             Field(default=None, description=f"{meta['about']} [{meta['unit']}] ({meta['source']})"),
         )
-    table = create_model(f"{effect.__name__}Table", __base__=Table, **fields)
+    table = create_model(f"{effect.__name__}TomlTable", __base__=TomlTable, **fields)
     table.__doc__ = (effect.__doc__ or effect.name).strip().split("\n")[0]
     if any(item.name == "patches" for item in dataclasses.fields(effect)):
         # Further ones of the same kind, which act together with the first.
@@ -94,23 +94,23 @@ def _effect_table(effect: type[Effect]) -> type[BaseModel]:
     return table
 
 
-def effects_table(names: Iterable[str], chosen: Iterable[type[Effect]]) -> type[Table]:
+def effects_table(names: Iterable[str], chosen: Iterable[type[Effect]]) -> type[TomlTable]:
     """[effects] that knows all `names` and can read the `chosen` effects.
 
     The tables of effects that a scene does not name are not made, nor their files imported.
     """
     fields: dict[str, Any] = {name: (Any, None) for name in names}
     fields |= {effect.name: (_effect_table(effect) | None, None) for effect in chosen}
-    return create_model("EffectsTable", __base__=Table, **fields)
+    return create_model("EffectsTable", __base__=TomlTable, **fields)
 
 
-class _InclusionTable(Table):
+class _InclusionTable(TomlTable):
     center: tuple[_Length, _Length]
     radius: _Length
     factor: _Number
 
 
-class _GradientTable(Table):
+class _GradientTable(TomlTable):
     direction: Angle
     per_um: _Number
 
@@ -121,7 +121,7 @@ def _known_kind(value: Any) -> Any:
     return value
 
 
-class DiscTable(Table):
+class DiscTable(TomlTable):
     """[matrix] of kind disc."""
 
     kind: Annotated[Literal["disc"], BeforeValidator(_known_kind)] = "disc"
@@ -134,7 +134,7 @@ class DiscTable(Table):
     gradient: _GradientTable | None = None
 
 
-class _CellTable(Table):
+class _CellTable(TomlTable):
     position: tuple[_Length, _Length] = (0.0, 0.0)
     polarity: Angle = 0.0
     radius: _Length = 8.0
@@ -142,7 +142,7 @@ class _CellTable(Table):
     commands: CommandsTable | None = None
 
 
-class _TrainingTable(Table):
+class _TrainingTable(TomlTable):
     runs: Count = 8
     held_out: Count = 2
     duration: Time = 1500.0
@@ -152,7 +152,7 @@ class _TrainingTable(Table):
     scatter: _Length = 0.0
 
 
-class DiscSceneTable(Table):
+class DiscSceneTable(TomlTable):
     """A scene with a disc, or without a matrix."""
 
     extends: Extends = None
@@ -171,7 +171,7 @@ class DiscSceneTable(Table):
     training: _TrainingTable = _TrainingTable()
 
 
-def with_effects(scene: type[Table], effects: type[Table]) -> type[Table]:
+def with_effects(scene: type[TomlTable], effects: type[TomlTable]) -> type[TomlTable]:
     """A scene table whose [effects], and those of its cells, are read by `effects`."""
     fields: dict[str, Any] = {"effects": (effects, effects())}
     (cell,) = _models(scene.model_fields["cells"].annotation)
@@ -182,7 +182,7 @@ def with_effects(scene: type[Table], effects: type[Table]) -> type[Table]:
     return create_model(scene.__name__, __base__=scene, **fields)
 
 
-def _known_keys(location: tuple, scene: type[Table]) -> list[str]:
+def _known_keys(location: tuple, scene: type[TomlTable]) -> list[str]:
     """Keys allowed in the table at `location` of a scene file."""
     model: Any = scene
     for part in location:
@@ -206,7 +206,7 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
 _LONGEST = 60  # characters of a key or a value that a message shows
 
 
-def explain(item: Mapping[str, Any], kinds: Mapping[str, type[Table]], kind: str) -> str:
+def explain(item: Mapping[str, Any], kinds: Mapping[str, type[TomlTable]], kind: str) -> str:
     """One mistake of a scene file in words; `kinds` are the scene tables by matrix.kind."""
     location = tuple(item["loc"])
     path = ""
