@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
+from cellsys.scene.workers import end_with_parent
 from tests.hard import stress
 from tests.hard.families import FAMILIES
 
@@ -43,7 +44,7 @@ def run(chosen: Chosen, seconds: float, seed: int, jobs: int) -> dict[str, stres
         return stress.run(chosen, seconds, seed)
     names = {family: [case.name for case in group] for family, group in with_oracle.items()}
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(beside, mp_context=context) as pool:
+    with ProcessPoolExecutor(beside, context, end_with_parent) as pool:
         started = [
             pool.submit(_of_names, names, seconds, seed, (number, beside))
             for number in range(beside)
