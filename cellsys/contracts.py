@@ -12,12 +12,20 @@ import numpy as np
 
 from cellsys.arguments import needs
 from cellsys.system import Matrix, OdeSystem
+from cellsys.trajectory import Trajectory
 
 __all__ = [
+    "Cells",
+    "ChargedModel",
+    "FibreField",
+    "FieldReader",
     "Integrator",
     "LinearSystem",
     "LoadPort",
     "MatrixField",
+    "ModalField",
+    "NetworkReader",
+    "PortedCell",
     "ReducedModel",
     "Reductor",
     "StateSpaceLike",
@@ -102,14 +110,95 @@ class LoadPort(Protocol):
 class SteppedField(MatrixField, Protocol):
     """A matrix field that steps itself, such as cs.GalerkinField(system)."""
 
-    def step(self, q: np.ndarray, load: np.ndarray, dt: float, memory: Any = None) -> np.ndarray:
-        """Coordinates after one implicit step of dt under the load (order,)."""
+    def step(
+        self, q: np.ndarray, load: np.ndarray, dt: float, *, memory: Any = None, t: float = 0.0
+    ) -> tuple[np.ndarray, Any]:
+        """Coordinates after one implicit step of dt under the load (order,), and how it went."""
 
     def energy(self, q: np.ndarray) -> float:
         """Stored energy, pN um."""
 
     def memory(self) -> Any:
         """What steps in a row keep for each other."""
+
+
+@runtime_checkable
+class ModalField(Protocol):
+    """A matrix field with modes as coordinates, such as cs.GalerkinField(system)."""
+
+    modes: Any
+
+
+@runtime_checkable
+class FibreField(Protocol):
+    """A matrix field with fibres, such as cs.GalerkinField(system)."""
+
+    matrix: Any
+
+
+@runtime_checkable
+class FieldReader(Protocol):
+    """A sensor that reads the field all cells share, such as cs.FieldSensor()."""
+
+    def directions(
+        self, field: MatrixField, q: np.ndarray, places: np.ndarray, p: np.ndarray
+    ) -> np.ndarray:
+        """Directions (K, 3) sensed at places (K, 2), um, by cells of polarities p (K, 3)."""
+
+
+@runtime_checkable
+class NetworkReader(Protocol):
+    """A sensor that reads the stiffness of a network at rest, such as a LocalSensor."""
+
+    K_s: np.ndarray
+    a: float
+    map: Any
+
+    def on(self, nodes: np.ndarray, stiffness: np.ndarray) -> NetworkReader:
+        """The same sensor on another network."""
+
+
+@runtime_checkable
+class ChargedModel(Protocol):
+    """A cell made of charges with a polar port, such as an EquivariantModel."""
+
+    dynamics: Any
+    representation: Any
+
+
+@runtime_checkable
+class PortedCell(Protocol):
+    """A linear cell with a load port, such as cs.CellPort(A, F)."""
+
+    A: np.ndarray
+    F: np.ndarray
+    C: np.ndarray
+    n_loads: int
+
+    def passivity(self) -> Any:
+        """Passivity of the port."""
+
+
+class Cells(Protocol):
+    """Coupled cells, made by cs.couple(model, n_cells)."""
+
+    n_cells: int
+    order: int
+
+    def poles(self) -> np.ndarray:
+        """Every pole, 1/s."""
+
+    def pole_set(self) -> Any:
+        """Distinct poles with their multiplicities, 1/s."""
+
+    def plant(self) -> Any:
+        """The whole as a control.StateSpace."""
+
+    def stability(self) -> Any:
+        """The verdict, with its certificate or its bounds."""
+
+    def simulate(self, t: np.ndarray, integrator: Any = None) -> Trajectory:
+        """A run at the times t, s; an integrator is obeyed, or refused with the reason."""
 
 
 @runtime_checkable

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.errors import DimensionError, ParameterError
+from cellsys.contracts import Cells, needs
+from cellsys.errors import ParameterError
 from cellsys.loop import PolarityLaw
 from cellsys.model import LatentModel, StiffnessSensor
 from cellsys.population.graph import InteractionGraph, check_positions
-from cellsys.population.headings import loop_of
 from cellsys.population.ported.field_sensor import FieldSensor
-from cellsys.population.ported.load_ports import LoadPorts
 from cellsys.population.ported.ports import CellPort
-from cellsys.population.printed.cells import CoupledCells
-from cellsys.population.printed.forms import Form, Superposition
-from cellsys.population.printed.maps import basis_of, field_rows
+from cellsys.population.printed.forms import Superposition
+from cellsys.population.request import Coupling, CouplingRequest
 from cellsys.units import real_array
 
 MOST_CELLS = 10**15  # counts of poles stay whole numbers in 64 bits
@@ -27,7 +23,7 @@ MOST_CELLS = 10**15  # counts of poles stay whole numbers in 64 bits
 def couple(
     model: LatentModel | CellPort,
     n_cells: int | None = None,
-    coupling: Form | LoadPorts | None = None,
+    coupling: Coupling | None = None,
     *,
     graph: InteractionGraph | np.ndarray | None = None,
     positions: np.ndarray | None = None,
@@ -35,7 +31,7 @@ def couple(
     controller: PolarityLaw | None = None,
     sensor: StiffnessSensor | FieldSensor | None = None,
     normalise: bool = True,
-) -> Any:
+) -> Cells:
     """K copies of one cell on one matrix.
 
     Parameters
@@ -44,8 +40,8 @@ def couple(
         One cell with its matrix; with rows named ``field`` for the printed forms.
     n_cells : int
         K; may be left out where a graph, positions or LoadPorts say it.
-    coupling : Superposition, MappedSuperposition, Feedback or LoadPorts
-        Default `Superposition()`.
+    coupling : Superposition, MappedSuperposition, Feedback, LoadPorts or one of your own
+        Anything with a name and `join(request)`; see `CouplingRequest`. Default `Superposition()`.
     graph : InteractionGraph or (K, K), optional
         Default: every cell meets every other with weight 1.
     positions : (K, 2) or (K, 3), optional
@@ -79,24 +75,17 @@ def couple(
         if n_cells > MOST_CELLS:
             raise ParameterError(f"n_cells must be at most {MOST_CELLS:.0e}, got {n_cells:.3e}")
         sizes["n_cells"] = int(n_cells)
-    if hasattr(coupling, "assemble_cells"):
-        if set(sizes) - {"n_cells"}:
-            raise ParameterError(
-                f"LoadPorts has its own positions and headings and knows no graph; leave "
-                f"{', '.join(sorted(set(sizes) - {'n_cells'}))} out"
-            )
-        return coupling.assemble_cells(
-            model, sizes, controller=controller, sensor=sensor, normalise=normalise
+    cells = coupling.join(
+        CouplingRequest(
+            model=model,
+            sizes=sizes,
+            graph=graph,
+            positions=positions,
+            headings=headings,
+            controller=controller,
+            sensor=sensor,
+            normalise=normalise,
         )
-    if not sizes:
-        raise ParameterError("couple needs n_cells=, or a graph, positions or headings of K cells")
-    if len(set(sizes.values())) > 1:
-        raise DimensionError(f"numbers of cells differ: {sizes}")
-    K = next(iter(sizes.values()))
-    basis_of(model, coupling.name)
-    coupling.check_rows(field_rows(model, coupling.rows, coupling.name))
-    coupling.extra(model.order)
-    if headings is not None and (headings.shape != (K,) or not np.all(np.isfinite(headings))):
-        raise DimensionError(f"headings must be {K} finite angles in rad")
-    loop = loop_of(model, controller, sensor, normalise, headings)
-    return CoupledCells(model, K, coupling, graph, positions, headings, loop)
+    )
+    needs(cells, Cells, f"{type(coupling).__name__}.join(...)")
+    return cells

@@ -15,6 +15,7 @@ import numpy as np
 
 from cellsys.cell.forecast import watched
 from cellsys.cell.on_field import CellsOnField
+from cellsys.contracts import FieldReader
 from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.integrate.estimate import EULER, estimate_by
@@ -25,7 +26,6 @@ from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.mechanics.geometry.surface import convex_triangles
 from cellsys.population.headings import turn
 from cellsys.population.poleset import PoleSet
-from cellsys.population.ported.field_sensor import FieldSensor
 from cellsys.population.ported.linear_cells import PortedCells
 from cellsys.population.ported.polar import frozen_port, polar_gather
 from cellsys.population.verdict import CoupledStability
@@ -267,7 +267,7 @@ class EquivariantCells(Drawable):
             elif steered:
                 p = move(half, end, 0.5 * dt)
             # A sensor of the cell's own state does not look at p.
-            again = steered and (finer or isinstance(self.sensor, FieldSensor))
+            again = steered and (finer or isinstance(self.sensor, FieldReader))
             d = self._sensed(state, p) if again else end
             every.append(join(state.cells))
         if len(amplitude) in wanted:
@@ -286,7 +286,7 @@ class EquivariantCells(Drawable):
     def _sensed(self, state: Any, p: np.ndarray) -> np.ndarray | None:
         if self.sensor is None:
             return None
-        if isinstance(self.sensor, FieldSensor):
+        if isinstance(self.sensor, FieldReader):
             return self.sensor.directions(self.coupling.field, state.q, state.cells.place, p)
         z = self.model.dynamics.join(state.cells)
         return self.sensor.direction(z) if self.normalise else self.sensor.raw(z)

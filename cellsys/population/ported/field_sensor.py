@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import MatrixField
+from cellsys.contracts import FibreField, MatrixField, NetworkReader
 from cellsys.errors import ParameterError
 from cellsys.laws.sensing import nodal_sum, sensed_direction
-from cellsys.model.network_sensor import INNER, REACH, LocalSensor
+from cellsys.model.network_sensor import INNER, REACH
 
 MEASURES = ("stiffness", "stress")
 
@@ -71,7 +71,7 @@ class FieldSensor:
         ParameterError
             When the field has no fibres to read (a `LinearField` from matrices).
         """
-        if not hasattr(field, "matrix"):
+        if not isinstance(field, FibreField):
             raise ParameterError(
                 f"a FieldSensor reads the fibres of a field, and a {type(field).__name__} has "
                 "none; use a GalerkinField or a full field"
@@ -89,7 +89,7 @@ class FieldSensor:
         )
 
 
-def standing_on(field: Any, sensor: Any) -> Any:
+def standing_on(field: MatrixField, sensor: Any) -> Any:
     """The sensor with the network of this field, where it reads the stiffness at rest.
 
     A `LocalSensor` keeps the network it was fitted on; cells on another matrix stand on another.
@@ -99,10 +99,10 @@ def standing_on(field: Any, sensor: Any) -> Any:
     ParameterError
         When the field has other nodes and no fibres to read (a `LinearField` from matrices).
     """
-    if not isinstance(sensor, LocalSensor) or not (sensor.K_s.any() or sensor.a):
+    if not isinstance(sensor, NetworkReader) or not (sensor.K_s.any() or sensor.a):
         return sensor
     nodes, known = np.asarray(field.nodes), sensor.map.nodes
-    if hasattr(field, "matrix"):
+    if isinstance(field, FibreField):
         disc = field.matrix.disc
         return sensor.on(nodes, nodal_sum(len(nodes), disc.fibres, disc.stiffness))
     if len(nodes) != len(known) or not np.array_equal(nodes[:, :2], known):

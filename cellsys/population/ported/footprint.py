@@ -7,10 +7,10 @@ is what makes the exchange conserve power.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
+import scipy.sparse as sp
 
 from cellsys.arguments import checked
 from cellsys.contracts import MatrixField
@@ -151,13 +151,13 @@ class RestPassivity:
         )
 
 
-def dense_stiffness(field: Any) -> np.ndarray:
+def dense_stiffness(field: MatrixField) -> np.ndarray:
     """Hess U at rest (order, order) as a dense array, pN/um."""
     K = field.stiffness
-    return np.asarray(K.toarray() if hasattr(K, "toarray") else K, dtype=float)
+    return np.asarray(K.toarray() if sp.issparse(K) else K, dtype=float)
 
 
-def field_passivity(field: Any) -> RestPassivity:
+def field_passivity(field: MatrixField) -> RestPassivity:
     """Check K >= 0 and symmetric, drag > 0, of the field at rest."""
     K = dense_stiffness(field)
     size = float(np.abs(K).max(initial=0.0))

@@ -13,18 +13,16 @@ placement: a certificate, not a simulation.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 from cellsys.arguments import checked
+from cellsys.contracts import ChargedModel, PortedCell
 from cellsys.errors import DimensionError, ParameterError, RepresentationError
-from cellsys.loop import PolarityLaw
-from cellsys.model import LatentModel, StiffnessSensor
 from cellsys.population.ported.equivariant_cells import EquivariantCells
-from cellsys.population.ported.field_sensor import FieldSensor, standing_on
+from cellsys.population.ported.field_sensor import standing_on
 from cellsys.population.ported.footprint import PatchPort
 from cellsys.population.ported.linear_cells import PortedCells
 from cellsys.population.ported.placement import Placement
-from cellsys.population.ported.ports import CellPort
+from cellsys.population.request import CouplingRequest
 
 
 @checked
@@ -47,22 +45,28 @@ class LoadPorts(Placement):
         Compute with a port of passivity index below -1e-10 instead of refusing it.
     """
 
-    def assemble_cells(
-        self,
-        model: LatentModel | CellPort,
-        sizes: dict[str, int],
-        *,
-        controller: PolarityLaw | None = None,
-        sensor: StiffnessSensor | FieldSensor | None = None,
-        normalise: bool = True,
-    ) -> Any:
-        """Put cells at the ports; called by `couple`."""
-        sizes = {**sizes, "LoadPorts.positions": len(self.positions)}
-        if len(set(sizes.values())) > 1:
-            raise DimensionError(f"numbers of cells differ: {sizes}")
-        if hasattr(model, "dynamics"):
-            return self._equivariant(model, controller, sensor, normalise)
-        if not isinstance(model, CellPort):
+    def join(self, request: CouplingRequest) -> PortedCells | EquivariantCells:
+        """K cells with their ports at the positions.
+
+        Raises
+        ------
+        RepresentationError
+            When the cell has no load port.
+        ParameterError, DimensionError
+            When the port is active, has other loads than the cell, or a graph, positions or
+            headings are given besides.
+        """
+        more = sorted(set(request.sizes) - {"n_cells"})
+        if more:
+            raise ParameterError(
+                f"LoadPorts has its own positions and headings and knows no graph; leave "
+                f"{', '.join(more)} out"
+            )
+        request.count({"LoadPorts.positions": len(self.positions)})
+        model = request.model
+        if isinstance(model, ChargedModel):
+            return self._equivariant(request)
+        if not isinstance(model, PortedCell):
             raise RepresentationError(
                 f"LoadPorts needs a cell with a load port, and a {type(model).__name__} has none; "
                 "use a CellPort or an Equivariant model"
@@ -72,18 +76,20 @@ class LoadPorts(Placement):
             raise DimensionError(
                 f"the cell has {model.n_loads} loads, its port on the matrix {here.port.n_loads}"
             )
-        if sensor is not None:
-            model = replace(model, sensor=sensor)
-        cells = PortedCells(model, here, controller, normalise)
+        if request.sensor is not None:
+            model = replace(model, sensor=request.sensor)
+        cells = PortedCells(model, here, request.controller, request.normalise)
         here.check_port(cells.passivity)
         return cells
 
-    def _equivariant(self, model: Any, controller: Any, sensor: Any, normalise: bool) -> Any:
+    def _equivariant(self, request: CouplingRequest) -> EquivariantCells:
+        model, controller = request.model, request.controller
         if self.port is not None:
             raise ParameterError("an equivariant model has its own port; leave port= out")
-        sensor = standing_on(self.field, model.sensor if sensor is None else sensor)
+        sensor = model.sensor if request.sensor is None else request.sensor
+        sensor = standing_on(self.field, sensor)
         if controller is not None and sensor is None:
             raise ParameterError("a controller needs a sensor; the model has none, pass sensor=")
-        cells = EquivariantCells(model, self, controller, sensor, normalise)
+        cells = EquivariantCells(model, self, controller, sensor, request.normalise)
         self.check_port(cells.frozen().passivity)
         return cells

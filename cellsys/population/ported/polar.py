@@ -11,16 +11,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
+import scipy.sparse as sp
 
+from cellsys.cell.model import EquivariantModel
 from cellsys.cell.port import PolarPort, PortSites
+from cellsys.contracts import ChargedModel, MatrixField, ModalField
 from cellsys.population.ported.ports import CellPort
 
 
-def frozen_port(model: Any, t: float | None = None) -> CellPort:
+def frozen_port(model: EquivariantModel, t: float | None = None) -> CellPort:
     """The cell frozen at time t (s since contact; default the end of training) as a `CellPort`.
 
     Parameters
@@ -64,7 +66,7 @@ class PolarGather:
 
     port: PolarPort
     sizes: tuple[int, ...]
-    field: Any
+    field: MatrixField
 
     @cached_property
     def sites(self) -> PortSites:
@@ -76,7 +78,7 @@ class PolarGather:
         """Real load coordinates."""
         return sum(n * (1 if q == 0 else 2) for q, n in enumerate(self.sizes))
 
-    def gather(self, field: Any, position: np.ndarray, heading: float) -> np.ndarray:
+    def gather(self, field: MatrixField, position: np.ndarray, heading: float) -> np.ndarray:
         """E (n_loads, order) at a place; loads are charges about fixed axes, headings turn u."""
         footprint = self.sites.under(np.asarray(position)[:2], self.port)
         rows = (3 * footprint.nodes[:, None] + np.arange(3)).ravel()
@@ -90,12 +92,15 @@ class PolarGather:
                     }
                     load[q][i] = unit
                     scattered.append(footprint.scatter(load).ravel())
+        if not isinstance(field, ModalField):
+            nodal = np.zeros((len(scattered), np.size(field.nodes)))
+            nodal[:, rows] = scattered
+            return np.asarray(field.project(nodal.reshape(len(scattered), -1, 3)))
         modes = field.modes[rows]
-        E = np.array(scattered) @ (modes.toarray() if hasattr(modes, "toarray") else modes)
-        return np.asarray(E)
+        return np.array(scattered) @ (modes.toarray() if sp.issparse(modes) else modes)
 
 
-def polar_gather(model: Any, field: Any) -> PolarGather:
+def polar_gather(model: ChargedModel, field: MatrixField) -> PolarGather:
     """The port of an equivariant model on a field."""
     sizes = tuple(len(b.C) for b in model.dynamics.blocks)
     return PolarGather(model.representation.port, sizes, field)

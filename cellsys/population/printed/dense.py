@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.linalg as sla
+import scipy.sparse as sp
 
 from cellsys.population.graph import InteractionGraph
-from cellsys.population.printed.blocks import ModeBlock
+from cellsys.population.printed.blocks import ModeBlock, PrintedForm
 from cellsys.population.printed.split import DOUBTFUL, EPS, FieldSplit
 
 
 def dense_block(
-    form: Any, split: FieldSplit, A: np.ndarray, graph: InteractionGraph, *, drop: bool = False
+    form: PrintedForm,
+    split: FieldSplit,
+    A: np.ndarray,
+    graph: InteractionGraph,
+    *,
+    drop: bool = False,
 ) -> ModeBlock:
     """The whole system as one block of size K m, z = T x, x' = M x + G f.
 
@@ -30,7 +34,7 @@ def dense_block(
         Drop the doubtful directions as well.
     """
     m, K = split.order, graph.n_cells
-    w = graph.weights.toarray() if hasattr(graph.weights, "toarray") else graph.weights
+    w = graph.weights.toarray() if sp.issparse(graph.weights) else graph.weights
     eye = np.eye(K * m)
     isolated = np.kron(np.eye(K), A)
     N = eye + np.kron(w, split.P)

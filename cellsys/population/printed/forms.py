@@ -11,19 +11,22 @@ With N = I + omega P and R = I + P_map (or given), per eigenvalue omega of the i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.population.headings import loop_of
 from cellsys.population.printed.blocks import PrintedForm
-from cellsys.population.printed.maps import ForceMap
+from cellsys.population.printed.cells import CoupledCells
+from cellsys.population.printed.maps import ForceMap, basis_of, field_rows
+from cellsys.population.request import CouplingRequest
 from cellsys.units import real_array
 
 
 def _map(value: Any, name: str, m: int) -> np.ndarray:
-    array = real_array(getattr(value, "matrix", value), name)
+    array = real_array(value.matrix if isinstance(value, ForceMap) else value, name)
     if array.shape != (m, m):
         raise DimensionError(f"{name} must be ({m}, {m}) like A, got {array.shape}")
     if not np.all(np.isfinite(array)):
@@ -33,9 +36,34 @@ def _map(value: Any, name: str, m: int) -> np.ndarray:
     return array
 
 
+@dataclass(frozen=True, kw_only=True)
+class JoiningForm(PrintedForm):
+    """A printed form as a coupling."""
+
+    def join(self, request: CouplingRequest) -> CoupledCells:
+        """K cells coupled through their matrix rows of V.
+
+        Raises
+        ------
+        RepresentationError
+            When the model has no V or names no matrix rows.
+        ParameterError, DimensionError
+        """
+        model, headings, K = request.model, request.headings, request.count()
+        basis_of(model, self.name)
+        self.check_rows(field_rows(model, self.rows, self.name))
+        self.extra(model.order)
+        if headings is not None and (headings.shape != (K,) or not np.all(np.isfinite(headings))):
+            raise DimensionError(f"headings must be {K} finite angles in rad")
+        loop = loop_of(
+            model, request.controller, request.sensor, request.normalise, headings
+        )
+        return CoupledCells(model, K, self, request.graph, request.positions, headings, loop)
+
+
 @checked
 @dataclass(frozen=True, kw_only=True)
-class Superposition(PrintedForm):
+class Superposition(JoiningForm):
     """Superposed isolated fields: block N A N^# [thesis eq. 36].
 
     A similarity transform of isolated cells when I - P is nonsingular: K copies of the poles of
@@ -48,7 +76,7 @@ class Superposition(PrintedForm):
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class MappedSuperposition(PrintedForm):
+class MappedSuperposition(JoiningForm):
     """Superposed isolated fields, answered by adhesion: block (I + omega R P) A N^# [eq. 93].
 
     Parameters
@@ -82,7 +110,7 @@ class MappedSuperposition(PrintedForm):
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class Feedback(PrintedForm):
+class Feedback(JoiningForm):
     """Neighbours' matrix rates as inputs: z_k' = A z_k + sum of R P A z_l over l != k [eq. 57].
 
     Mean block (I + (K - 1) R P) A: its poles grow like K. Stable for every K when R = I and
@@ -107,6 +135,3 @@ class Feedback(PrintedForm):
     def inverted(self) -> bool:
         """No inverse stands in [57]."""
         return False
-
-
-Form = Annotated[PrintedForm, "Superposition(), MappedSuperposition(P_map=...) or Feedback()"]
