@@ -86,7 +86,7 @@ def _effect_table(effect: type[Effect]) -> type[BaseModel]:
             kind | None,
             Field(default=None, description=f"{meta['about']} [{meta['unit']}] ({meta['source']})"),
         )
-    table = create_model(f"{effect.__name__}TomlTable", __base__=TomlTable, **fields)
+    table = create_model(f"{effect.__name__}Table", __base__=TomlTable, **fields)
     table.__doc__ = (effect.__doc__ or effect.name).strip().split("\n")[0]
     if any(item.name == "patches" for item in dataclasses.fields(effect)):
         # Further ones of the same kind, which act together with the first.
