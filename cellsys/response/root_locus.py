@@ -11,7 +11,7 @@ import scipy.linalg as sla
 from scipy.optimize import brentq
 
 from cellsys.arguments import checked
-from cellsys.contracts import LinearSystem
+from cellsys.contracts import LinearSystem, StateSpaceLike, TransferFunctionLike
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.response.eigenvalues import track
@@ -90,7 +90,8 @@ def root_locus(
     ----------
     Evans, Trans. AIEE 67 (1948) 547.
     """
-    if callable(sys) and not hasattr(sys, "dt"):  # control's systems are callable, too
+    # control's systems are callable, too
+    if callable(sys) and not isinstance(sys, (StateSpaceLike, TransferFunctionLike)):
         if values is None:
             raise ParameterError("a family of systems needs values=")
         first = realization(sys(float(np.asarray(values, dtype=float).ravel()[0])))
