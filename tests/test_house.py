@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tomllib
 import warnings
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -119,6 +120,12 @@ def test_the_import_test_sees_function_level_imports(tmp_path):
 SOURCES = {str(p.relative_to(ROOT)): p.read_text("utf-8") for p in FILES}
 
 
+@cache
+def parsed(text: str) -> ast.Module:
+    """Tree of a file, which several of the tests walk."""
+    return ast.parse(text)
+
+
 def module_of(name: str) -> str:
     """Module of a file of the package: ``cellsys/a/b.py`` -> ``cellsys.a.b``."""
     return name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
@@ -132,7 +139,7 @@ def file_imports(sources: dict[str, str]) -> dict[str, set[str]]:
         here = module_of(name)
         room = here if name.endswith("__init__.py") else here.rpartition(".")[0]
         seen = found.setdefault(here, set())
-        for node in ast.walk(ast.parse(text)):
+        for node in ast.walk(parsed(text)):
             if isinstance(node, ast.Import):
                 seen |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
@@ -172,7 +179,7 @@ def test_the_circle_test_sees_hidden_imports():
     hidden = "def f():\n    from cellsys.b import g\n    return g\n"
     typed = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .a import f\n"
     pair = {"cellsys/__init__.py": "", "cellsys/a.py": hidden, "cellsys/b.py": typed}
-    top = [n for text in pair.values() for n in ast.parse(text).body]
+    top = [n for text in pair.values() for n in parsed(text).body]
     assert not any("cellsys" in ast.unparse(n) for n in top if isinstance(n, ast.ImportFrom))
     assert circles(pair) == [{"cellsys.a", "cellsys.b"}]
     long = {f"cellsys/n{k}.py": f"import cellsys.n{(k + 1) % 5}\n" for k in range(5)}
@@ -184,7 +191,7 @@ def repeated_classes(sources: dict[str, str]) -> dict[str, list[str]]:
     """Class name -> files, of names that are defined more than once."""
     places: dict[str, list[str]] = {}
     for name, text in sources.items():
-        for node in ast.walk(ast.parse(text)):
+        for node in ast.walk(parsed(text)):
             if isinstance(node, ast.ClassDef):
                 places.setdefault(node.name, []).append(name)
     return {name: files for name, files in places.items() if len(files) > 1}
@@ -205,7 +212,7 @@ def foreign_privates(sources: dict[str, str]) -> list[str]:
     modules = {module_of(name) for name in sources}
     wrong = []
     for name, text in sources.items():
-        tree, bound = ast.parse(text), set()
+        tree, bound = parsed(text), set()
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and (
                 node.level or (node.module or "").split(".")[0] == "cellsys"
@@ -243,7 +250,7 @@ def test_the_privacy_test_sees_names_behind_their_module():
 def contract_members(text: str) -> set[str]:
     """Methods and attributes that the Protocols of a file ask for."""
     names = set()
-    for node in ast.parse(text).body:
+    for node in parsed(text).body:
         if isinstance(node, ast.ClassDef) and any("Protocol" in ast.unparse(b) for b in node.bases):
             for item in node.body:
                 if isinstance(item, ast.FunctionDef):
@@ -258,7 +265,7 @@ def sniffed(sources: dict[str, str], members: set[str]) -> set[tuple[str, str]]:
     return {
         (name, node.args[1].value)
         for name, text in sources.items()
-        for node in ast.walk(ast.parse(text))
+        for node in ast.walk(parsed(text))
         if isinstance(node, ast.Call)
         and ast.unparse(node.func) in ("hasattr", "builtins.hasattr")
         and isinstance(node.args[1], ast.Constant)

@@ -23,12 +23,12 @@ def seconds(*code: str) -> float:
 
 
 def against_numpy(*code: str) -> tuple[float, float]:
-    """Shortest of five wall times, s, of a process and of one that only imports numpy.
+    """Shortest of four wall times, s, of a process and of one that only imports numpy.
 
     They take turns, so that both have met the same load of the machine: what is compared is the
     work, wherever and beside whatever the tests run.
     """
-    turns = [(seconds(*code), seconds("-c", "import numpy")) for _ in range(5)]
+    turns = [(seconds(*code), seconds("-c", "import numpy")) for _ in range(4)]
     return min(t for t, _ in turns), min(t for _, t in turns)
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from cellsys.errors import MemoryBudgetError
 from cellsys.response import grid
+from cellsys.response.decompositions.resolvent import Resolvent, s_plane
 from cellsys.response.realization import Realization
-from cellsys.response.resolvent import Resolvent, s_plane
 from cellsys.response.zeros import zero_values
 
 _SHARP = 1e-7  # damping ratio below which a root counts as on the boundary

@@ -12,10 +12,10 @@ from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError
+from cellsys.response.decompositions.singular import schur_matrix, smallest_singular
 from cellsys.response.poles import poles
 from cellsys.response.realization import realization
 from cellsys.response.roots import RootSet
-from cellsys.response.singular import schur_matrix, smallest_singular
 
 
 @checked

@@ -14,7 +14,8 @@ from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError
 from cellsys.response.certainty import PoleCertainty, data_note, side, widened
-from cellsys.response.growth import kreiss_lower, sampled_growth
+from cellsys.response.decompositions.growth import kreiss_lower, sampled_growth
+from cellsys.response.decompositions.singular import distance_to_boundary, schur_matrix
 from cellsys.response.integrators import (
     MARGINAL,
     Integrators,
@@ -27,7 +28,6 @@ from cellsys.response.poles import poles
 from cellsys.response.pseudospectra import Pseudospectra, abscissa, pseudospectra
 from cellsys.response.realization import balancing, realization
 from cellsys.response.roots import RootSet, order
-from cellsys.response.singular import distance_to_boundary, schur_matrix
 from cellsys.response.spectrum import Spectrum, backward_error, spectrum
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg as sla
 
-from cellsys.response import triangular
+from cellsys.response.decompositions import triangular
 from cellsys.response.realization import EPS
 
 _STEPS = 14  # Lanczos steps; the largest Ritz value settles after a few

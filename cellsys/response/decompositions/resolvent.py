@@ -16,7 +16,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from cellsys.errors import DataError
-from cellsys.response import hessenberg, triangular
+from cellsys.response.decompositions import hessenberg, triangular
 from cellsys.response.realization import EPS, Realization, balance
 
 # One Schur form costs about as much as eight Hessenberg forms.

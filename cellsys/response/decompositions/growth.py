@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.response.decompositions.singular import boundary, smallest_singular
 from cellsys.response.realization import EPS
-from cellsys.response.singular import boundary, smallest_singular
 
 
 def sampled_growth(A: np.ndarray, *, discrete: bool, slowest: float) -> tuple[float, float]:

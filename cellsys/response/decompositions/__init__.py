@@ -1,0 +1,1 @@
+"""Eigenvalues, triangular and Hessenberg forms, singular values, and the solves that use them."""
