@@ -55,7 +55,7 @@ def measure(samples: int, order: int) -> None:
         began = time.perf_counter()
         basis = fit_basis(data, order)
         middle = time.perf_counter()
-        cs.PCR().fit(data, order, basis)
+        cs.PCR().fit(data, order, basis=basis)
         end = time.perf_counter()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     print(

@@ -6,6 +6,7 @@ function it is held by `cellsys.arguments`; `needs` holds it anywhere else.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -17,9 +18,11 @@ from cellsys.trajectory import Trajectory
 __all__ = [
     "Cells",
     "ChargedModel",
+    "ChoosesOrder",
     "FibreField",
     "FieldReader",
     "Integrator",
+    "LinearModel",
     "LinearSystem",
     "LoadPort",
     "MatrixField",
@@ -28,6 +31,7 @@ __all__ = [
     "PortedCell",
     "ReducedModel",
     "Reductor",
+    "Regression",
     "StateSpaceLike",
     "SteppedField",
     "Stepping",
@@ -60,17 +64,16 @@ Integrator = Annotated[
 ]
 
 
-class Reductor(Protocol):
-    """A reductor such as cs.PCR()."""
-
-    def fit(self, data: Any, order: int, basis: Any = None, parts: Any = None) -> Any:
-        """A model of this order learned from snapshots."""
-
-
 class ReducedModel(Protocol):
     """A reduced model, made by cs.reduce(data, order=...)."""
 
     order: int
+    dt: float | None
+    input_names: tuple[str, ...]
+    z_start: np.ndarray | None
+    sensor: Any
+    card: Any
+    notes: Mapping[str, Any]
 
     def encode(self, x: np.ndarray, eta: np.ndarray | None = None) -> np.ndarray:
         """Latent states of samples."""
@@ -80,6 +83,71 @@ class ReducedModel(Protocol):
 
     def predict(self, z0: np.ndarray, u: np.ndarray | None, t: np.ndarray) -> np.ndarray:
         """Latent states (T, m) at the times t from z0 under the commands u."""
+
+    def step_matrices(self, dt: float | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(A_d, B_d, b_d) of z+ = A_d z + B_d c + b_d over a step."""
+
+    def at(self, t: float) -> ReducedModel:
+        """The model frozen at time t, s."""
+
+    def growth(self) -> float:
+        """Spectral abscissa, 1/s."""
+
+    def pole_set(self) -> np.ndarray:
+        """The poles, 1/s, with their bounds."""
+
+    def plant(self) -> Any:
+        """The model as a control.StateSpace."""
+
+    def validity(self, t: np.ndarray, z: np.ndarray, u: np.ndarray | None = None) -> list[Any]:
+        """Flags where a roll-out leaves what the model was trained on."""
+
+
+class LinearModel(ReducedModel, Protocol):
+    """A linear reduced model, made by cs.reduce(data, order=...).
+
+    z' = A z + B c + b, or the generator of a step of dt seconds; at one time where the model
+    follows a clock.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    offset: np.ndarray
+
+    def continuous_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(A_c, B_c, b_c) of z' = A_c z + B_c c + b_c."""
+
+
+class Reductor(Protocol):
+    """A reductor such as cs.PCR().
+
+    It may ignore `test` and `basis`. An attribute ``own_basis = True`` says that it ignores
+    `basis`, so that none is made for it; ``name`` is what tables call it. A model that comes
+    without a card is given one, measured on `test`.
+    """
+
+    def fit(
+        self, snapshots: Any, order: int, *, test: Any = None, basis: Any = None
+    ) -> ReducedModel:
+        """A model of this order learned from snapshots."""
+
+
+@runtime_checkable
+class Regression(Reductor, Protocol):
+    """A reductor that solves one regression in the common basis, so that refits are cheap."""
+
+    svd: Any
+
+    def refit(self, data: Any, basis: Any, kept: np.ndarray) -> np.ndarray:
+        """A (m, m) from the samples `kept` (n_samples,) alone, in the same basis."""
+
+
+@runtime_checkable
+class ChoosesOrder(Reductor, Protocol):
+    """A reductor that finds the order for a tolerance in its own coordinates."""
+
+    def order_for(self, data: Any, tol: float) -> int:
+        """Smallest order that leaves at most `tol` of the squared norm."""
 
 
 class MatrixField(Protocol):

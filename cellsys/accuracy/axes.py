@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import Reductor
+from cellsys.contracts import LinearModel, Reductor
 from cellsys.errors import DataError, ParameterError
 from cellsys.integrate import DOP853, LinearlyImplicit, simulate
 from cellsys.integrate.simulate import check_times
 from cellsys.kinds import Count, Seed
-from cellsys.model import LatentModel
 from cellsys.population import (
     Feedback,
     InteractionGraph,
@@ -223,7 +222,7 @@ def _other_motion(found: np.ndarray, truth: np.ndarray) -> float:
 
 @checked
 def coupling_cost(
-    model: LatentModel,
+    model: LinearModel,
     counts: Sequence[Count],
     t: np.ndarray,
     form: Superposition | MappedSuperposition | Feedback,

@@ -30,14 +30,12 @@ from cellsys.accuracy.starts import (
 )
 from cellsys.accuracy.work_precision import WorkPrecision, work_precision
 from cellsys.arguments import checked
-from cellsys.cell import EquivariantModel
-from cellsys.contracts import Integrator
+from cellsys.contracts import Integrator, LinearModel
 from cellsys.errors import CellsysError, DataError, IntegrationError, ParameterError
 from cellsys.integrate import CVODES, DOP853, LSODA, Exponential
 from cellsys.integrate.simulate import check_times
 from cellsys.kinds import Seed
 from cellsys.loop import ClosedLoop, ScheduledLoop, closed_loop
-from cellsys.model import LatentModel
 from cellsys.scene import Scene
 
 
@@ -91,7 +89,7 @@ class Budget:
 
 @checked
 def budget(
-    target: ClosedLoop | ScheduledLoop | LatentModel | EquivariantModel | Scene,
+    target: ClosedLoop | ScheduledLoop | LinearModel | Scene,
     *,
     error: float,
     measure: str | None = None,
@@ -107,7 +105,7 @@ def budget(
 
     Parameters
     ----------
-    target : ClosedLoop, ScheduledLoop, LatentModel, EquivariantModel or Scene
+    target : ClosedLoop, ScheduledLoop, LinearModel or Scene
         A loop on a reduced model, such a model with a sensor (its loop is closed here), or a
         scene (its full-order system).
     error : float
@@ -151,7 +149,7 @@ def budget(
         raise ParameterError(
             f"training must be >= 1 and held_out >= 0, got {training!r} and {held_out!r}"
         )
-    if isinstance(target, (LatentModel, EquivariantModel)):
+    if not isinstance(target, (ClosedLoop, ScheduledLoop, Scene)):
         target = closed_loop(target)
     if isinstance(target, ScheduledLoop):
         return _of_own_step(target, error, t)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -17,7 +17,8 @@ from cellsys.cell.file import read_parts, write_parts
 from cellsys.cell.forecast import ErrorBands, Forecast, ValidityMonitor
 from cellsys.cell.port import PortSites
 from cellsys.cell.representation import CellRepresentation, ChargeModes
-from cellsys.errors import DataError, DimensionError, FileFormatError, RepresentationError
+from cellsys.errors import DataError, DimensionError, FileFormatError
+from cellsys.model.affine import AffineModel
 from cellsys.model.card import Card
 from cellsys.model.hold import check_roll_out
 from cellsys.model.latent import LatentModel
@@ -36,13 +37,14 @@ class Pole:
 
 
 @checked
-class EquivariantModel(LatentModel):
+@dataclass(frozen=True, eq=False)
+class EquivariantModel(AffineModel):
     """A cell as azimuthal charges; see `CellDynamics` [notes: theory, equivariant cell].
 
     z = [x_0, Re x_1, Im x_1, ..., centroid x, centroid y]; a step model of `dt` seconds whose
     matrices follow a clock that starts at contact. `A`, `B`, `offset` are those frozen at the end
     of the training runs; `at(t)` gives the model frozen at another time. There is no basis
-    matrix: V, V_x and V_eta raise a RepresentationError.
+    matrix; `cellsys.model.basis_of` refuses it by name.
 
     Parameters
     ----------
@@ -65,107 +67,48 @@ class EquivariantModel(LatentModel):
         As of a `LatentModel`: A of the models behind the error bands.
     """
 
+    dynamics: CellDynamics
+    representation: CellRepresentation
+    modes: ChargeModes
+    sites: PortSites
+    states: Layout
+    auxiliaries: Layout
+    cell: str = field(default="cell1", kw_only=True)
+    horizon: float = field(default=1500.0, kw_only=True)
+    z_start: np.ndarray | None = field(default=None, kw_only=True)
+    sensor: StiffnessSensor | None = field(default=None, kw_only=True)
+    card: Card | None = field(default=None, kw_only=True)
+    notes: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+    bands: ErrorBands | None = field(default=None, kw_only=True)
+    monitor: ValidityMonitor | None = field(default=None, kw_only=True)
+    refits: np.ndarray | None = field(default=None, kw_only=True)
+    left_out: str = field(default="run", kw_only=True)
+    A: np.ndarray = field(init=False, repr=False)
+    B: np.ndarray = field(init=False, repr=False)
+    offset: np.ndarray = field(init=False, repr=False)
+    dt: float = field(init=False)
+    input_names: tuple[str, ...] = field(init=False)
+
     _figure: ClassVar[str] = "equivariant_model"
 
-    def __init__(
-        self,
-        dynamics: CellDynamics,
-        representation: CellRepresentation,
-        modes: ChargeModes,
-        sites: PortSites,
-        states: Layout,
-        auxiliaries: Layout,
-        *,
-        cell: str = "cell1",
-        horizon: float = 1500.0,
-        z_start: np.ndarray | None = None,
-        sensor: StiffnessSensor | None = None,
-        card: Card | None = None,
-        notes: Mapping[str, Any] | None = None,
-        bands: ErrorBands | None = None,
-        monitor: ValidityMonitor | None = None,
-        refits: np.ndarray | None = None,
-        left_out: str = "run",
-    ) -> None:
-        for name, value in (
-            ("bands", bands),
-            ("monitor", monitor),
-            ("dynamics", dynamics),
-            ("representation", representation),
-            ("modes", modes),
-            ("sites", sites),
-            ("cell", cell),
-            ("horizon", float(horizon)),
-        ):
-            object.__setattr__(self, name, value)
-        A, B, b = dynamics.step_matrices(horizon)
-        dt = dynamics.dt
-        super().__init__(
-            A=(A - np.eye(len(A))) / dt,
-            B=B / dt,
-            offset=b / dt,
+    def __post_init__(self) -> None:
+        horizon, dt = float(self.horizon), self.dynamics.dt
+        A, B, b = self.dynamics.step_matrices(horizon)
+        # The checks of a plain model hold for the frozen one.
+        frozen = LatentModel(
+            (A - np.eye(len(A))) / dt,
+            B / dt,
+            b / dt,
             dt=dt,
-            input_names=harmonic_names(cell),
-            states=states,
-            auxiliaries=auxiliaries,
-            z_start=z_start,
-            sensor=sensor,
-            card=card,
-            notes={"method": "Equivariant", "horizon_s": float(horizon), **(notes or {})},
-            refits=refits,
-            left_out=left_out,
+            input_names=harmonic_names(self.cell),
+            z_start=self.z_start,
+            refits=self.refits,
         )
-
-    def carrying(
-        self,
-        *,
-        z_start: np.ndarray | None = None,
-        sensor: StiffnessSensor | None = None,
-        card: Card | None = None,
-        notes: Mapping[str, Any] | None = None,
-        bands: ErrorBands | None = None,
-        monitor: ValidityMonitor | None = None,
-        refits: np.ndarray | None = None,
-        left_out: str | None = None,
-    ) -> EquivariantModel:
-        """The same model with what is given put in place of its own."""
-        return EquivariantModel(
-            self.dynamics,
-            self.representation,
-            self.modes,
-            self.sites,
-            self.states,
-            self.auxiliaries,
-            cell=self.cell,
-            horizon=self.horizon,
-            z_start=self.z_start if z_start is None else z_start,
-            sensor=self.sensor if sensor is None else sensor,
-            card=self.card if card is None else card,
-            notes=self.notes if notes is None else notes,
-            bands=self.bands if bands is None else bands,
-            monitor=self.monitor if monitor is None else monitor,
-            refits=self.refits if refits is None else refits,
-            left_out=self.left_out if left_out is None else left_out,
-        )
-
-    # What a charge model does not have
-
-    @property
-    def V(self) -> NoReturn:
-        """Refused: charges have no basis matrix over [x; eta]."""
-        self._basis("V")
-
-    @V.setter
-    def V(self, value: Any) -> None:
-        # The parent's constructor stores None.
-        if value is not None:
-            raise RepresentationError("an equivariant model has no basis matrix V")
-
-    def _basis(self, name: str) -> NoReturn:
-        raise RepresentationError(
-            f"an equivariant model has no {name}: its coordinates are charges of shape and load; "
-            "use encode, reconstruct and reconstruct_load, or a PCR or LeastSquares model"
-        )
+        notes = {"method": "Equivariant", **self.notes, "horizon_s": horizon}
+        for name in ("A", "B", "offset", "dt", "input_names", "z_start", "refits"):
+            object.__setattr__(self, name, getattr(frozen, name))
+        object.__setattr__(self, "horizon", horizon)
+        object.__setattr__(self, "notes", notes)
 
     # Frozen models and poles
 
@@ -276,10 +219,6 @@ class EquivariantModel(LatentModel):
         out[under.nodes] = under.scatter(self.reconstruct_load(z))
         return out
 
-    def reconstruct_eta(self, z: np.ndarray) -> NoReturn:
-        """Refused: only the load on the matrix is carried; see `reconstruct_load`."""
-        self._basis("reconstruct_eta")
-
     # Roll-out
 
     def predict(self, z0: np.ndarray, u: np.ndarray | None, t: np.ndarray) -> np.ndarray:
@@ -367,6 +306,11 @@ class EquivariantModel(LatentModel):
     def save(self, path: str | Path) -> Path:
         """Write arrays, names and card to an npz, atomically; never pickle."""
         return write_parts(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> EquivariantModel:
+        """The same as `read`; `LatentModel.load` reads models of any kind."""
+        return cls.read(path)
 
     @classmethod
     def read(cls, path: str | Path) -> EquivariantModel:

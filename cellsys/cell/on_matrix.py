@@ -80,7 +80,7 @@ def with_matrix(
     row = matrix_row(model, field, test, known)
     held_out = {**model.card.held_out, "matrix": row}
     facts = {**model.card.facts, "field": f"{type(field).__name__}, order {field.order}"}
-    return model.carrying(card=replace(model.card, held_out=held_out, facts=facts))
+    return replace(model, card=replace(model.card, held_out=held_out, facts=facts))
 
 
 def _displacement(data: Snapshots, record: CellRecord, dt: float) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -85,6 +85,8 @@ class Equivariant:
     read_ridge: float = 1e-3
     folds: int = 8
 
+    own_basis: ClassVar[bool] = True
+
     def __post_init__(self) -> None:
         for name in ("step", "rate", "load_share", "ridge", "read_ridge"):
             value = getattr(self, name)
@@ -113,11 +115,18 @@ class Equivariant:
         return smallest_order([f for _, f in features], tol) + 2
 
     def fit(
-        self, data: Snapshots, order: int, basis: Any = None, parts: Any = None
+        self,
+        data: Snapshots,
+        order: int,
+        *,
+        test: Snapshots | None = None,
+        basis: object = None,
     ) -> EquivariantModel:
         """Learn a model of `order` real states, two of which are the centroid.
 
-        `basis` and `parts`, which other reductors share, are not used.
+        It comes with its sensor, error bands, validity monitor and card, measured on `test`.
+        Error bands take `folds` further fits, each without some of the runs; fewer than three
+        runs give none, and the card says so. `basis`, which regressions share, is not used.
 
         Raises
         ------
@@ -125,10 +134,19 @@ class Equivariant:
             Runs without commands, loads or rest places; an order that the data do not carry; a
             step that does not fit the sampling.
         """
-        began = time.perf_counter()
         sites = sites_of(data)
         records = read_records(data, self.step, self.port, sites)
-        return self.fit_records(records, data, order, sites, began)
+        held = [] if test is None else read_records(test, self.step, self.port, sites_of(test))
+        model = self.fit_records(records, data, order, sites)
+        bands = None
+        if self.folds and len(data.runs) >= 3:
+            misses, others = self.left_out(records, data, order, sites)
+            bands = conformal_bands(misses, self.step, min(self.folds, len(data.runs)))
+            part = "run" if len(others) == len(data.runs) else "group of runs"
+            model = replace(model, refits=np.array(others), left_out=part)
+        model = replace(model, bands=bands, monitor=ValidityMonitor.of(model, records))
+        model = replace(model, sensor=sensor_of(model, data, records, test, held))
+        return replace(model, card=card_of(model, data, records, held, test))
 
     def fit_records(
         self,
@@ -138,7 +156,7 @@ class Equivariant:
         sites: PortSites,
         began: float | None = None,
     ) -> EquivariantModel:
-        """`fit` from records already read (several fits on subsets of the same runs)."""
+        """The bare model, from records already read (several fits on subsets of the same runs)."""
         began = time.perf_counter() if began is None else began
         if not records:
             raise DataError("an equivariant model needs at least one run with a cell")
@@ -176,27 +194,7 @@ class Equivariant:
             },
         )
         start = np.mean([model.encode_cell(r.nodes[:1], r.loads[:1])[0] for r in records], axis=0)
-        return model.carrying(z_start=start)
-
-    def learn(self, data: Snapshots, order: int, test: Snapshots | None = None) -> EquivariantModel:
-        """`fit`, and with it the sensor, error bands, validity monitor and card.
-
-        Error bands take `folds` further fits, each without some of the runs; fewer than three
-        runs give none, and the card says so.
-        """
-        sites = sites_of(data)
-        records = read_records(data, self.step, self.port, sites)
-        held = [] if test is None else read_records(test, self.step, self.port, sites_of(test))
-        model = self.fit_records(records, data, order, sites)
-        bands = None
-        if self.folds and len(data.runs) >= 3:
-            misses, others = self.left_out(records, data, order, sites)
-            bands = conformal_bands(misses, self.step, min(self.folds, len(data.runs)))
-            part = "run" if len(others) == len(data.runs) else "group of runs"
-            model = model.carrying(refits=np.array(others), left_out=part)
-        model = model.carrying(bands=bands, monitor=ValidityMonitor.of(model, records))
-        model = model.carrying(sensor=sensor_of(model, data, records, test, held))
-        return model.carrying(card=card_of(model, data, records, held, test))
+        return replace(model, z_start=start)
 
     def left_out(
         self, records: Sequence[CellRecord], data: Snapshots, order: int, sites: PortSites

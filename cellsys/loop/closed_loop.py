@@ -24,7 +24,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.arguments import checked
-from cellsys.contracts import Integrator
+from cellsys.contracts import Integrator, LinearModel
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.integrate.semilinear import Semilinear
@@ -35,7 +35,6 @@ from cellsys.laws.polarity import heading_features
 from cellsys.loop.loop_system import ClosedLoopSystem, model_error, semilinear_of
 from cellsys.loop.modal import set_apart_text, split_slow
 from cellsys.loop.polarity import PolarityLaw
-from cellsys.model.latent import LatentModel
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.samples.commands import harmonic
 from cellsys.state_space import state_space
@@ -114,7 +113,7 @@ class ClosedLoop:
         Start of `simulate`.
     """
 
-    model: LatentModel
+    model: LinearModel
     controller: PolarityLaw
     sensor: StiffnessSensor
     normalise: bool

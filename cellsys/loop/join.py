@@ -9,6 +9,7 @@ import scipy.sparse as sp
 
 from cellsys.arguments import checked
 from cellsys.cell.model import EquivariantModel
+from cellsys.contracts import LinearModel
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.integrate.parameter_sensitivities import ParametricSystem
 from cellsys.laws.arrays import operations
@@ -17,7 +18,6 @@ from cellsys.loop.closed_loop import ClosedLoop, check_point
 from cellsys.loop.loop_system import LoopCopies
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.loop.scheduled import ScheduledLoop
-from cellsys.model.latent import LatentModel
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.samples.commands import harmonic
 from cellsys.system import Block, Layout
@@ -26,7 +26,7 @@ from cellsys.units import shaped_array
 
 @checked
 def closed_loop(
-    model: LatentModel,
+    model: LinearModel,
     *,
     controller: PolarityLaw | None = None,
     sensor: StiffnessSensor | None = None,
@@ -40,7 +40,7 @@ def closed_loop(
 
     Parameters
     ----------
-    model : LatentModel
+    model : LinearModel
         With heading features as inputs.
     controller : PolarityLaw, optional
         Default kappa = 1/60 1/s.

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.arguments import checked
-from cellsys.drawable import Drawable
+from cellsys.contracts import ReducedModel
 from cellsys.errors import (
     DataError,
     DimensionError,
@@ -19,15 +19,11 @@ from cellsys.errors import (
     ParameterError,
     RepresentationError,
 )
+from cellsys.model.affine import AffineModel
 from cellsys.model.card import Card
 from cellsys.model.file import ARRAYS, kind_of_file, load_model, save_model
-from cellsys.model.hold import check_roll_out, hold, roll, to_continuous
-from cellsys.model.poles import certainty_of, continuous_poles, pole_set
+from cellsys.model.hold import check_roll_out, roll
 from cellsys.model.sensor import StiffnessSensor
-from cellsys.model.trained_range import Flag, TrainedRange
-from cellsys.response.certainty import PoleCertainty
-from cellsys.response.roots import RootSet
-from cellsys.state_space import state_space
 from cellsys.system import Layout
 from cellsys.units import real_array, real_number
 
@@ -41,7 +37,7 @@ def _row_indices(name: str, rows: Sequence[int]) -> np.ndarray:
 
 @checked
 @dataclass(frozen=True, eq=False)
-class LatentModel(Drawable):
+class LatentModel(AffineModel):
     """A reduced model, continuous or the generator of a step.
 
         dt is None :  z' = A z + B c + b
@@ -111,10 +107,9 @@ class LatentModel(Drawable):
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        given = vars(self)  # a kind of model that has no basis refuses to be asked for V
         for name in ARRAYS:
-            if given.get(name) is not None or name == "A":
-                put(name, real_array(given.get(name), name).copy())
+            if getattr(self, name) is not None or name == "A":
+                put(name, real_array(getattr(self, name), name).copy())
         A = np.atleast_2d(self.A)
         m = A.shape[0]
         if A.shape != (m, m) or m == 0:
@@ -123,7 +118,7 @@ class LatentModel(Drawable):
         B = np.zeros((m, 0)) if self.B is None else self.B
         put("B", B.reshape(m, -1) if B.ndim < 2 and B.size % m == 0 else B)
         put("offset", np.zeros(m) if self.offset is None else self.offset)
-        V = given.get("V")
+        V = self.V
         if V is not None and V.ndim != 2:
             raise DimensionError(f"V must be a matrix, got shape {V.shape}")
         if V is not None:
@@ -154,7 +149,7 @@ class LatentModel(Drawable):
             if got != expected:
                 raise DimensionError(f"{name} must have shape {expected}, got {got}")
         for name in ARRAYS:
-            value = given.get(name)
+            value = getattr(self, name)
             if value is None:
                 continue
             if not np.all(np.isfinite(value)):
@@ -185,11 +180,6 @@ class LatentModel(Drawable):
 
     # Shape and parts
 
-    @property
-    def order(self) -> int:
-        """m."""
-        return self.A.shape[0]
-
     def _basis(self, name: str) -> np.ndarray:
         if self.V is None:
             raise RepresentationError(
@@ -213,7 +203,8 @@ class LatentModel(Drawable):
         """z of one sample (n,) or of many (T, n).
 
         With `eta` the projection V^T S^-1 (x~ - mean). Without, the least-squares z that
-        reproduces x (minimum norm; directions below 1e-8 of the largest are left at zero).
+        reproduces x (minimum norm; directions below 1e-8 of the largest are left at zero). A
+        model of states alone, V (n, m), does not look at `eta`.
         """
         V = self._basis("encode")
         n = self.n_states
@@ -222,9 +213,9 @@ class LatentModel(Drawable):
             raise DimensionError(f"x must have {n} entries, got {x.shape[-1]}")
         inverse = np.divide(1.0, self.scale, out=np.zeros_like(self.scale), where=self.scale > 0)
         centred = (x - self.mean[:n]) * inverse[:n]
+        if n == len(V):
+            return centred @ V
         if eta is None:
-            if n == len(V):
-                return centred @ V
             flat = np.atleast_2d(centred)
             z = sla.lstsq(V[:n], flat.T, cond=1e-8)[0].T
             return z.reshape(*x.shape[:-1], self.order)
@@ -247,51 +238,6 @@ class LatentModel(Drawable):
 
     # Dynamics
 
-    def step_matrices(self, dt: float | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(A_d, B_d, b_d) of z+ = A_d z + B_d c + b_d over one step of dt seconds.
-
-        A step model has only its own step; a continuous model takes any (zero-order hold).
-        """
-        if self.dt is not None:
-            if dt is not None and abs(dt - self.dt) > 1e-9 * self.dt:
-                raise ParameterError(f"this model has a step of {self.dt:g} s, not {dt:g} s")
-            return np.eye(self.order) + self.dt * self.A, self.dt * self.B, self.dt * self.offset
-        if dt is None:
-            raise ParameterError("a continuous model needs dt for its step matrices")
-        return hold(self.A, self.B, self.offset, dt)
-
-    def continuous_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(A_c, B_c, b_c) of z' = A_c z + B_c c + b_c.
-
-        A step model is inverted under zero-order hold, log [[I + dt A, dt B, dt b], [0, I]] / dt,
-        which is refused where I + dt A has an eigenvalue on the closed negative real axis: no
-        real continuous model steps like that.
-        """
-        if self.dt is None:
-            return self.A, self.B, self.offset
-        return to_continuous(self.A, self.B, self.offset, self.dt)
-
-    def poles(self) -> np.ndarray:
-        """Continuous poles (m,), 1/s: eig(A), or log(eig(I + dt A))/dt of a step model."""
-        return continuous_poles(self.A, self.dt)
-
-    def growth(self) -> float:
-        """Spectral abscissa, 1/s: largest real part of the continuous poles."""
-        return float(self.poles().real.max())
-
-    def certainty(self, *, discrete: bool = False) -> PoleCertainty | None:
-        """How far each pole moves when a part of the data is left out; None where not known.
-
-        Of the continuous poles, 1/s, or (`discrete`) of those of `plant(discrete=True)`.
-        """
-        if self.refits is None:
-            return None
-        return certainty_of(self.A, self.dt, self.refits, self.left_out, discrete=discrete)
-
-    def pole_set(self) -> RootSet:
-        """The poles, 1/s, each with a bound: the larger of rounding and `certainty`."""
-        return pole_set(self.A, self.dt, self.certainty())
-
     def predict(self, z0: np.ndarray, u: np.ndarray | None, t: np.ndarray) -> np.ndarray:
         """Roll the model out from z0 (m,) at the times t (T,); returns z (T, m).
 
@@ -311,60 +257,6 @@ class LatentModel(Drawable):
         matrices = (lambda dt: self.step_matrices()) if self.dt is not None else self.step_matrices
         return roll(z0, c, t, repeats, matrices, self.growth)
 
-    def flags(self, t: np.ndarray, z: np.ndarray, u: np.ndarray | None = None) -> list[Flag]:
-        """Where a roll-out of `predict` leaves what the model was trained on, in order of time.
-
-        Inputs, latent states and time of the run, each against its trained range and a tenth of
-        it; `DataError` for a model that was not made by `reduce`. See `TrainedRange`.
-        """
-        return TrainedRange.kept(self).check(t, z, u, self.input_names)
-
-    # Control
-
-    def plant(
-        self,
-        *,
-        discrete: bool = False,
-        output: np.ndarray | None = None,
-        output_names: Sequence[str] | None = None,
-    ) -> Any:
-        """The model as `control.StateSpace` with named states, inputs and outputs.
-
-        Parameters
-        ----------
-        discrete : bool
-            Keep a step model's own step; by default it is made continuous (dt = 0), see
-            `continuous_matrices`.
-        output : (p, m), optional
-            Output matrix; default the latent states themselves.
-        """
-        if discrete and self.dt is None:
-            raise ParameterError("a continuous model has no step of its own; use control.c2d")
-        if discrete:
-            A, B, _ = self.step_matrices()
-        else:
-            A, B, _ = self.continuous_matrices()
-        C = np.eye(self.order) if output is None else np.atleast_2d(np.asarray(output, float))
-        if C.shape[1] != self.order:
-            raise DimensionError(f"output must have {self.order} columns, got {C.shape}")
-        states = [f"z[{i}]" for i in range(self.order)]
-        if output_names is not None:
-            outputs = list(output_names)
-        else:
-            outputs = states if output is None else [f"y[{i}]" for i in range(len(C))]
-        return state_space(
-            A,
-            B,
-            C,
-            np.zeros((len(C), B.shape[1])),
-            self.dt if discrete else 0,
-            states=states,
-            # control does not allow dots in signal names
-            inputs=[n.replace(".", "_") for n in self.input_names],
-            outputs=outputs,
-            name=f"plant_m{self.order}",
-        )
-
     # Files
 
     def save(self, path: str | Path) -> Path:
@@ -372,7 +264,7 @@ class LatentModel(Drawable):
         return save_model(self, path)
 
     @classmethod
-    def load(cls, path: str | Path) -> LatentModel:
+    def load(cls, path: str | Path) -> AffineModel:
         """Read back a saved model of any kind; FileFormatError for anything else."""
         if cls is LatentModel:
             return kind_of_file(path).read(path)
@@ -394,3 +286,27 @@ class LatentModel(Drawable):
             f"spectral abscissa {self.growth():.3g} 1/s"
         )
         return head if self.card is None else f"{head}\n{self.card}"
+
+
+@checked
+def basis_of(model: ReducedModel, what: str) -> np.ndarray:
+    """V (n + n_eta, m) of a model whose coordinates have a basis; else refused by name.
+
+    Parameters
+    ----------
+    model : ReducedModel
+    what : str
+        What needs V, for the message.
+
+    Raises
+    ------
+    RepresentationError
+        A model of another kind, or a `LatentModel` given without V.
+    """
+    V = model.V if isinstance(model, LatentModel) else None
+    if V is None:
+        raise RepresentationError(
+            f"{what} needs the rows of V, and this {type(model).__name__} has none; use LoadPorts, "
+            "or a model reduced with PCR or LeastSquares (a LatentModel made from arrays: pass V=)"
+        )
+    return V

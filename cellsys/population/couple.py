@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import Cells, needs
+from cellsys.contracts import Cells, LinearModel, needs
 from cellsys.errors import ParameterError
 from cellsys.loop import PolarityLaw
-from cellsys.model import LatentModel, StiffnessSensor
+from cellsys.model import StiffnessSensor
 from cellsys.population.graph import InteractionGraph, check_positions
 from cellsys.population.ported.field_sensor import FieldSensor
 from cellsys.population.ported.ports import CellPort
@@ -21,7 +21,7 @@ MOST_CELLS = 10**15  # counts of poles stay whole numbers in 64 bits
 
 @checked
 def couple(
-    model: LatentModel | CellPort,
+    model: LinearModel | CellPort,
     n_cells: int | None = None,
     coupling: Coupling | None = None,
     *,

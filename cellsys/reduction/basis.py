@@ -7,7 +7,7 @@ The covariance of all columns is never formed. Snapshots are streamed by blocks 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from numbers import Integral
 
 import numpy as np
@@ -56,6 +56,70 @@ class RandomisedSVD:
             raise ParameterError("RandomisedSVD needs oversample >= 1 and power >= 0")
 
 
+@dataclass(frozen=True, eq=False)
+class LatentParts:
+    """Latent samples split into the parts of x and of eta, now and one sample ahead.
+
+    Each is (n_samples, m); `runs` and `samples` number the rows, `data` is what they are of.
+    """
+
+    x_now: np.ndarray
+    x_next: np.ndarray
+    eta_now: np.ndarray
+    eta_next: np.ndarray
+    runs: np.ndarray
+    samples: np.ndarray
+    data: Snapshots = field(repr=False)
+
+    @classmethod
+    def of(cls, data: Snapshots, basis: Basis) -> LatentParts:
+        """Project all used samples and their successors, in one pass over the data."""
+        n = data.states.size
+        weight = basis.inverse_scale()[:, None] * basis.V
+        parts: list[list] = [[], [], [], []]
+        for run in data.runs:
+            x, eta = [], []
+            for piece in data.blocks(run, np.arange(run.n_pairs + 1), basis.mean):
+                x.append(piece[:, :n] @ weight[:n])
+                eta.append(piece[:, n:] @ weight[n:])
+            ks = run.usable()
+            for out, whole in ((parts[:2], x), (parts[2:], eta)):
+                rows = np.concatenate(whole)
+                out[0].append(rows[ks])
+                out[1].append(rows[ks + 1])
+        return cls(
+            *(np.concatenate(p) for p in parts),
+            data.run_ids,
+            np.concatenate([r.usable() for r in data.runs]),
+            data,
+        )
+
+    def first(self, order: int) -> LatentParts:
+        """The first `order` coordinates."""
+        cut = (a[:, :order] for a in (self.x_now, self.x_next, self.eta_now, self.eta_next))
+        return LatentParts(*cut, self.runs, self.samples, self.data)
+
+    def where(self, rows: np.ndarray) -> LatentParts:
+        """A selection of samples."""
+        names = ("x_now", "x_next", "eta_now", "eta_next", "runs", "samples")
+        return LatentParts(*(getattr(self, name)[rows] for name in names), self.data)
+
+    @property
+    def now(self) -> np.ndarray:
+        """z at the samples."""
+        return self.x_now + self.eta_now
+
+    @property
+    def next(self) -> np.ndarray:
+        """z one sample later."""
+        return self.x_next + self.eta_next
+
+    def after_previous(self) -> np.ndarray:
+        """Rows whose previous sample belongs to the same run and is used too."""
+        same = (self.runs[1:] == self.runs[:-1]) & (np.diff(self.samples) == 1)
+        return np.flatnonzero(same) + 1
+
+
 @checked
 @dataclass(frozen=True, eq=False)
 class Basis:
@@ -64,7 +128,7 @@ class Basis:
     `scale` is 0 on columns that do not vary; their rows of V are zero and their value is the
     mean. `total` is the sum of all squared singular values. `residuals` (m,), |G v - s^2 v| / s
     of a randomised basis, bound its error: there is an exact singular value within that of each
-    s. They are zero where LAPACK found everything.
+    s. They are zero where LAPACK found everything. `parts`, if given, are latent samples in it.
     """
 
     V: np.ndarray
@@ -74,6 +138,17 @@ class Basis:
     total: float
     dropped: int
     residuals: np.ndarray | None = None
+    parts: LatentParts | None = None
+
+    def with_parts(self, data: Snapshots) -> Basis:
+        """The basis carrying the samples of `data` in it, for all that are fitted to these data."""
+        return replace(self, parts=self.parts_of(data))
+
+    def parts_of(self, data: Snapshots) -> LatentParts:
+        """The samples of `data` in it: those it carries where they are of these very data."""
+        if self.parts is not None and self.parts.data is data:
+            return self.parts
+        return LatentParts.of(data, self)
 
     @property
     def left_out(self) -> float:
@@ -104,6 +179,23 @@ class Basis:
     def inverse_scale(self) -> np.ndarray:
         """1/scale, and 0 where the column was dropped."""
         return np.divide(1.0, self.scale, out=np.zeros_like(self.scale), where=self.scale > 0)
+
+
+def truncated(basis: Basis | None, order: int) -> Basis | None:
+    """The first `order` directions of a basis that has at least as many."""
+    check_order(order)
+    if basis is None or basis.V.shape[1] < order:
+        return None
+    return Basis(
+        basis.V[:, :order],
+        basis.singular_values[:order],
+        basis.mean,
+        basis.scale,
+        basis.total,
+        basis.dropped,
+        None if basis.residuals is None else basis.residuals[:order],
+        None if basis.parts is None else basis.parts.first(order),
+    )
 
 
 def moments(data: Snapshots) -> tuple[np.ndarray, np.ndarray]:

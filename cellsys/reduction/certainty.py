@@ -12,10 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import Reductor
+from cellsys.contracts import Reductor, Regression
 from cellsys.errors import CellsysError, DataError
-from cellsys.reduction.basis import Basis, fit_basis
-from cellsys.reduction.regression import LatentParts, truncated
+from cellsys.reduction.basis import Basis, fit_basis, truncated
 from cellsys.response.certainty import PoleCertainty
 from cellsys.samples.snapshots import RunData, Snapshots
 
@@ -29,7 +28,6 @@ def pole_certainty(
     method: Reductor,
     order: int,
     basis: Basis | None = None,
-    parts: LatentParts | None = None,
 ) -> PoleCertainty:
     """Poles of a reductor and how far each moves when a part of the data is left out.
 
@@ -41,19 +39,19 @@ def pole_certainty(
     data : Snapshots
     method : reductor
     order : int
-    basis, parts : optional
-        Basis of at least that order, and the latent samples in it, to be reused.
+    basis : Basis, optional
+        Of at least that order, to be reused.
 
     Raises
     ------
     DataError
         Where what is left over is too little to learn from.
     """
-    if hasattr(method, "refit"):
+    if isinstance(method, Regression):
         basis = truncated(basis, order) or fit_basis(data, order, method=method.svd)
-        parts = (LatentParts.of(data, basis) if parts is None else parts).first(order)
-    model = method.fit(data, order, basis, parts)
-    known = refits(data, method, order, basis, parts)
+        basis = basis.with_parts(data)
+    model = method.fit(data, order, basis=basis)
+    known = refits(data, method, order, basis)
     if known is None:
         raise DataError(
             f"the data are too few to be learned from in parts: {data.n_samples} samples of "
@@ -68,7 +66,6 @@ def refits(
     method: Reductor,
     order: int,
     basis: Basis | None,
-    parts: LatentParts | None,
 ) -> tuple[np.ndarray, str] | None:
     """A (k, m, m) of the model learned without each part of the data, and what a part is.
 
@@ -79,12 +76,12 @@ def refits(
         left_out = "group of runs"
     found = []
     try:
-        if hasattr(method, "refit"):
+        if isinstance(method, Regression):
             for kept in _kept_samples(data):
-                found.append(method.refit(data, basis, parts, kept))
+                found.append(method.refit(data, basis, kept))
         else:
             for rest in _kept_runs(data):
-                found.append(method.fit(rest, order, basis).A)
+                found.append(method.fit(rest, order, basis=basis).A)
     except CellsysError:
         return None
     return np.array(found), left_out

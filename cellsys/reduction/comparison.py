@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,17 +10,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import Reductor
+from cellsys.contracts import ReducedModel, Reductor
 from cellsys.drawable import Drawable
 from cellsys.errors import CellsysError, ParameterError
 from cellsys.model.card import BASELINES, DIVERGED, compared
-from cellsys.model.latent import LatentModel
-from cellsys.reduction.basis import check_order, fit_basis
+from cellsys.reduction.basis import Basis, check_order, fit_basis
 from cellsys.reduction.contractive import Contractive
 from cellsys.reduction.least_squares import LeastSquares
 from cellsys.reduction.pcr import PCR
-from cellsys.reduction.reduce import complete, reduce_orders
-from cellsys.reduction.regression import LatentParts
+from cellsys.reduction.reduce import brings_basis, completed, described, reduce_orders
 from cellsys.reduction.ridge import Ridge
 from cellsys.samples.snapshots import Snapshots
 
@@ -137,7 +134,8 @@ def compare_reductors(
         Different runs; a run label that occurs in both is refused.
     orders : sequence of int
     methods : sequence of reductors, optional
-        Anything with ``fit(snapshots, order)``; default PCR, LeastSquares, Ridge, Contractive.
+        Anything with ``fit(snapshots, order, *, test=None, basis=None)``; default PCR,
+        LeastSquares, Ridge, Contractive.
 
     Returns
     -------
@@ -169,17 +167,6 @@ def compare_reductors(
     return Comparison(tuple(rows), seen, block, (len(train.runs), len(test.runs)), basis_s)
 
 
-def described(method: Any) -> str:
-    """A reductor in words: its name and the settings that are not the default ones."""
-    if not dataclasses.is_dataclass(method):
-        return method.name
-    fields = dataclasses.fields(method)
-    if any(f.default is f.default_factory is dataclasses.MISSING for f in fields):
-        return repr(method)
-    own = [f.name for f in fields if getattr(method, f.name) != f.default]
-    return f"{method.name}({', '.join(f'{n}={getattr(method, n)!r}' for n in own)})"
-
-
 def refuse_shared_runs(train: Snapshots, test: Snapshots) -> None:
     """ParameterError where a run (by label) is in both sets."""
     both = {r.label for r in train.runs if r.label} & {r.label for r in test.runs}
@@ -197,16 +184,15 @@ def measured(
     Methods that learn in the common basis share it and the latent samples; the others bring
     their own coordinates.
     """
-    shared = [m for m in methods if not (hasattr(m, "learn") or getattr(m, "own_basis", False))]
-    basis_s, basis, parts = 0.0, None, None
+    shared = [m for m in methods if not brings_basis(m)]
+    basis_s, basis = 0.0, None
     if shared:
         began = time.perf_counter()
-        basis = fit_basis(train, max(orders))
-        parts = LatentParts.of(train, basis)
+        basis = fit_basis(train, max(orders)).with_parts(train)
         basis_s = time.perf_counter() - began
-        seconds = []
+        seconds: list[float] = []
         timed = [_Timed(m, seconds) for m in shared]
-        found = reduce_orders(train, timed, orders, test, basis, parts)
+        found = reduce_orders(train, timed, orders, test, basis)
         for k, model in enumerate(found):
             yield model, shared[k // len(orders)], seconds[-1], basis_s
     for method in methods:
@@ -214,13 +200,9 @@ def measured(
             continue
         for order in orders:
             began = time.perf_counter()
-            if hasattr(method, "learn"):
-                model = method.learn(train, order, test)
-                spent = time.perf_counter() - began
-            else:
-                model = method.fit(train, order)
-                spent = time.perf_counter() - began
-                model = complete(model, train, test)
+            model = method.fit(train, order, test=test)
+            spent = time.perf_counter() - began
+            model = completed(model, method, train, test)
             yield model, method, float(model.notes.get("fit_seconds", spent)), basis_s
 
 
@@ -228,12 +210,19 @@ def measured(
 class _Timed:
     """A reductor that notes how long each fit took."""
 
-    method: Any
+    method: Reductor
     seconds: list[float]
 
-    def fit(self, data: Snapshots, order: int, basis: Any = None, parts: Any = None) -> LatentModel:
+    def fit(
+        self,
+        data: Snapshots,
+        order: int,
+        *,
+        test: Snapshots | None = None,
+        basis: Basis | None = None,
+    ) -> ReducedModel:
         began = time.perf_counter()
-        model = self.method.fit(data, order, basis, parts)
+        model = self.method.fit(data, order, test=test, basis=basis)
         self.seconds.append(time.perf_counter() - began)
         return model
 
@@ -246,7 +235,7 @@ def _row(
     with np.errstate(over="ignore"):
         radius = float("nan") if model.dt is None else float(np.exp(model.dt * abscissa))
     return ComparedModel(
-        method.name,
+        getattr(method, "name", type(method).__name__),
         model.order,
         described(method),
         error if fine else float("inf"),

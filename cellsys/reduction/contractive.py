@@ -12,8 +12,14 @@ from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.model.contraction import clipped, contraction_metric, shrunk
 from cellsys.model.latent import LatentModel
-from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
-from cellsys.reduction.regression import LatentParts, StepSamples, learned_model, truncated
+from cellsys.reduction.basis import (
+    Basis,
+    ExactSVD,
+    RandomisedSVD,
+    fit_basis,
+    truncated,
+)
+from cellsys.reduction.regression import StepSamples, learned_model
 from cellsys.reduction.ridge import ridge_regress
 from cellsys.reduction.roll_out_loss import RollOuts, adam
 from cellsys.samples.snapshots import Snapshots
@@ -90,15 +96,16 @@ class Contractive:
         self,
         data: Snapshots,
         order: int,
+        *,
+        test: Snapshots | None = None,
         basis: Basis | None = None,
-        parts: LatentParts | None = None,
     ) -> LatentModel:
         """Learn a model of order `order`.
 
-        `basis` (of at least that order) and `parts` (latent samples in it) are reused if given.
+        `basis`, of at least that order, is used if given, and the samples that it carries.
         """
         basis = truncated(basis, order) or fit_basis(data, order, method=self.svd)
-        parts = (LatentParts.of(data, basis) if parts is None else parts).first(order)
+        parts = basis.parts_of(data)
         step = data.dt if self.step is None else float(self.step)
         s = StepSamples.of(data, basis, parts, step)
         shift, size = s.inputs.mean(axis=0), np.maximum(s.inputs.std(axis=0), 1e-12)

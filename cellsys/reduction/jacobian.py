@@ -13,7 +13,7 @@ from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError
 from cellsys.model.latent import LatentModel
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
-from cellsys.reduction.regression import LatentParts, input_map, learned_model
+from cellsys.reduction.regression import input_map, learned_model
 from cellsys.samples.snapshots import Snapshots
 from cellsys.system import Layout, OdeSystem
 from cellsys.units import real_array
@@ -67,12 +67,13 @@ class Jacobian:
         self,
         data: Snapshots,
         order: int,
+        *,
+        test: Snapshots | None = None,
         basis: Basis | None = None,
-        parts: LatentParts | None = None,
     ) -> LatentModel:
         """Model of order `order` in the basis of the states of `data`.
 
-        `basis` and `parts`, which regressions share, hold auxiliaries too and are not used.
+        `basis`, which regressions share, holds auxiliaries too and is not used.
         """
         alone = states_only(data)
         basis = fit_basis(alone, order, method=self.svd)

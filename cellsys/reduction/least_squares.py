@@ -9,13 +9,11 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.model.latent import LatentModel
-from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
+from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis, truncated
 from cellsys.reduction.regression import (
-    LatentParts,
     StepSamples,
     learned_model,
     regress,
-    truncated,
 )
 from cellsys.samples.snapshots import Snapshots
 
@@ -43,15 +41,16 @@ class LeastSquares:
         self,
         data: Snapshots,
         order: int,
+        *,
+        test: Snapshots | None = None,
         basis: Basis | None = None,
-        parts: LatentParts | None = None,
     ) -> LatentModel:
         """Learn a model of order `order`.
 
-        `basis` (of at least that order) and `parts` (latent samples in it) are reused if given.
+        `basis`, of at least that order, is used if given, and the samples that it carries.
         """
         basis = truncated(basis, order) or fit_basis(data, order, method=self.svd)
-        parts = (LatentParts.of(data, basis) if parts is None else parts).first(order)
+        parts = basis.parts_of(data)
         s = StepSamples.of(data, basis, parts, data.dt)
         K, b, rank = self._solve(s)
         return learned_model(
@@ -66,11 +65,11 @@ class LeastSquares:
         )
 
     def refit(
-        self, data: Snapshots, basis: Basis, parts: LatentParts, kept: np.ndarray
+        self, data: Snapshots, basis: Basis, kept: np.ndarray
     ) -> np.ndarray:
         """A (m, m) from the samples `kept` (n_samples,) alone, in the same basis."""
-        samples = StepSamples.of(data, basis, parts, data.dt, kept)
-        return self._solve(samples)[0][: parts.now.shape[1]].T
+        samples = StepSamples.of(data, basis, basis.parts_of(data), data.dt, kept)
+        return self._solve(samples)[0][: basis.V.shape[1]].T
 
     def _solve(self, s: StepSamples) -> tuple[np.ndarray, np.ndarray, int]:
         rate = (s.ahead - s.now) / s.step - s.known

@@ -10,13 +10,18 @@ import numpy as np
 from cellsys.arguments import checked
 from cellsys.errors import DataError, ParameterError
 from cellsys.model.latent import LatentModel
-from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
-from cellsys.reduction.regression import (
+from cellsys.reduction.basis import (
+    Basis,
+    ExactSVD,
     LatentParts,
+    RandomisedSVD,
+    fit_basis,
+    truncated,
+)
+from cellsys.reduction.regression import (
     input_map,
     learned_model,
     regress,
-    truncated,
 )
 from cellsys.samples.snapshots import Snapshots
 
@@ -73,20 +78,20 @@ class PCR:
         self,
         data: Snapshots,
         order: int,
+        *,
+        test: Snapshots | None = None,
         basis: Basis | None = None,
-        parts: LatentParts | None = None,
     ) -> LatentModel:
         """Learn a model of order `order`.
 
-        `basis` (of at least that order) and `parts` (latent samples in it) are reused if given.
+        `basis`, of at least that order, is used if given, and the samples that it carries.
         """
         if self.literal:
-            # Another basis, or samples in it, would not be the printed one.
-            data, parts = dataclasses.replace(data, scale="none"), None
+            # Another basis would not be the printed one.
+            data = dataclasses.replace(data, scale="none")
             basis = fit_basis(data, order, center=False, method=self.svd)
         basis = truncated(basis, order) or fit_basis(data, order, method=self.svd)
-        parts = LatentParts.of(data, basis) if parts is None else parts
-        A, b, rank = self.generator(data, basis, parts)
+        A, b, rank = self.generator(data, basis, basis.parts_of(data))
         n = data.states.size
         weight = basis.inverse_scale()[:n, None] * basis.V[:n]
         B, b_u, names, explained = input_map(data, weight, self.rank_tolerance)
@@ -106,10 +111,10 @@ class PCR:
         )
 
     def refit(
-        self, data: Snapshots, basis: Basis, parts: LatentParts, kept: np.ndarray
+        self, data: Snapshots, basis: Basis, kept: np.ndarray
     ) -> np.ndarray:
         """A (m, m) from the samples `kept` (n_samples,) alone, in the same basis."""
-        return self.generator(data, basis, parts.where(kept))[0]
+        return self.generator(data, basis, basis.parts_of(data).where(kept))[0]
 
     def generator(
         self, data: Snapshots, basis: Basis, parts: LatentParts
@@ -120,7 +125,6 @@ class PCR:
                 "PCR needs auxiliaries (eta) and W_eta; for states alone use LeastSquares()"
             )
         n, S, V = data.states.size, basis.scale, basis.V
-        parts = parts.first(V.shape[1])
         rate = (parts.eta_next - parts.eta_now) / data.dt
         rows = np.arange(len(rate))
         if self.literal or self.difference == "backward":

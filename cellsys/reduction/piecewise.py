@@ -18,9 +18,10 @@ from cellsys.model.hold import check_roll_out
 from cellsys.model.latent import LatentModel
 from cellsys.model.poles import fastest_growth, pole_set
 from cellsys.model.sensor import StiffnessSensor
+from cellsys.model.trained_range import Flag, TrainedRange
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.jacobian import linearised, rows_in, states_only
-from cellsys.reduction.regression import LatentParts, input_map, learned_model
+from cellsys.reduction.regression import input_map, learned_model
 from cellsys.response.roots import RootSet
 from cellsys.samples.snapshots import Snapshots
 from cellsys.system import OdeSystem
@@ -68,10 +69,11 @@ class TPWL:
         self,
         data: Snapshots,
         order: int,
+        *,
+        test: Snapshots | None = None,
         basis: Basis | None = None,
-        parts: LatentParts | None = None,
     ) -> PiecewiseModel:
-        """Model of order `order` in the basis of the states; `basis` and `parts` are not used."""
+        """Model of order `order` in the basis of the states; `basis` is not used."""
         alone = states_only(data)
         basis = fit_basis(alone, order, method=self.svd)
         rows = rows_in(self.system, data)
@@ -159,19 +161,9 @@ class PiecewiseModel(Drawable):
         return None
 
     @property
-    def V(self) -> np.ndarray:
-        """Basis of the states (n, m)."""
-        return self.frozen.V
-
-    @property
     def B(self) -> np.ndarray:
         """Input map (m, n_c)."""
         return self.frozen.B
-
-    @property
-    def n_states(self) -> int:
-        """n."""
-        return self.frozen.n_states
 
     @property
     def input_names(self) -> tuple[str, ...]:
@@ -193,17 +185,34 @@ class PiecewiseModel(Drawable):
         w = (d == 0).astype(float) if least == 0 else np.exp(-_SHARP * (d - least) / least)
         return w / w.sum()
 
-    def at(self, z: np.ndarray) -> LatentModel:
-        """The blend of linearisations at z as a `LatentModel`: its poles, its plant."""
-        w = self.weights(np.asarray(z, dtype=float))
+    def at(self, z: float | np.ndarray) -> LatentModel:
+        """The blend of linearisations at z (m,) as a `LatentModel`: its poles, its plant.
+
+        At a time, s, it is the blend at the training start: the model follows no clock.
+        """
+        w = self.weights(self._start() if np.ndim(z) == 0 else np.asarray(z, dtype=float))
         return dataclasses.replace(
             self.frozen, A=np.tensordot(w, self.A, 1), offset=w @ self.offset, notes={}
         )
 
     def poles(self, z: np.ndarray | None = None) -> np.ndarray:
         """Poles (m,), 1/s, of the blend at z; default the training start, else the first point."""
-        here = self.z_start if self.z_start is not None else self.points[0]
-        return self.at(here if z is None else z).poles()
+        return self.at(self._start() if z is None else z).poles()
+
+    def _start(self) -> np.ndarray:
+        return self.points[0] if self.z_start is None else self.z_start
+
+    def step_matrices(self, dt: float | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(A_d, B_d, b_d) over a step of dt seconds of the blend at the training start."""
+        return self.at(0.0).step_matrices(dt)
+
+    def plant(self) -> Any:
+        """The blend at the training start as `control.StateSpace`; see `LatentModel.plant`."""
+        return self.at(0.0).plant()
+
+    def validity(self, t: np.ndarray, z: np.ndarray, u: np.ndarray | None = None) -> list[Flag]:
+        """Flags where a roll-out leaves the trained range; see `LatentModel.validity`."""
+        return TrainedRange.kept(self).check(t, z, u, self.input_names)
 
     def growth(self) -> float:
         """Largest spectral abscissa of all linearisations, 1/s."""

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import Reductor
+from cellsys.contracts import ChoosesOrder, ReducedModel, Reductor, Regression, needs
 from cellsys.errors import ParameterError
 from cellsys.model.latent import LatentModel
 from cellsys.model.sensor import StiffnessSensor, fit_sensor
 from cellsys.model.trained_range import TrainedRange
-from cellsys.reduction.basis import Basis, fit_basis
+from cellsys.reduction.basis import Basis, fit_basis, truncated
 from cellsys.reduction.certainty import refits
 from cellsys.reduction.pcr import PCR
-from cellsys.reduction.regression import LatentParts, truncated
 from cellsys.samples.snapshots import Snapshots
 from cellsys.units import real_number
 from cellsys.worth.assessment import Encoded, assess, encode_all, encode_start
@@ -32,7 +31,7 @@ def reduce(
     method: Reductor | None = None,
     test: Snapshots | None = None,
     basis: Basis | None = None,
-) -> LatentModel:
+) -> ReducedModel:
     """Learn a reduced model.
 
     Parameters
@@ -58,34 +57,34 @@ def reduce(
     if (order is None) == (tol is None):
         raise ParameterError("give either order= or tol=")
     method = PCR() if method is None else method
-    if not isinstance(data, Snapshots):
-        raise ParameterError(f"data must be cs.snapshots([...]), got {type(data).__name__}")
-    if isinstance(method, type) or not hasattr(method, "fit"):
-        raise ParameterError(f"method must be a reductor such as cs.PCR(), got {method!r}")
     tol = None if tol is None else real_number(tol, "tol")
-    if hasattr(method, "learn"):  # it brings coordinates of its own
-        order = method.order_for(data, float(tol)) if order is None else order
-        return method.learn(data, order, test)
-    if order is None:
+    if order is None and isinstance(method, ChoosesOrder):
+        order = method.order_for(data, float(tol))
+    elif order is None:
         order, basis = _order_for(data, float(tol), getattr(method, "svd", None))
     if not refits_cheaply(method):
-        return complete(method.fit(data, order, basis), data, test)
+        return completed(method.fit(data, order, test=test, basis=basis), method, data, test)
     basis = truncated(basis, order) or fit_basis(data, order, method=method.svd)
-    parts = LatentParts.of(data, basis)
-    model = method.fit(data, order, basis, parts)
-    return complete(certain(model, data, method, basis, parts), data, test)
+    basis = basis.with_parts(data)
+    model = method.fit(data, order, test=test, basis=basis)
+    return completed(certain(model, data, method, basis), method, data, test)
 
 
-def refits_cheaply(method: Any) -> bool:
+def refits_cheaply(method: Reductor) -> TypeGuard[Regression]:
     """Whether the reductor is a regression in the common basis: its refits cost next to nothing."""
-    return hasattr(method, "refit") and not getattr(method, "own_basis", False)
+    return isinstance(method, Regression) and not brings_basis(method)
+
+
+def brings_basis(method: Reductor) -> bool:
+    """Whether the reductor learns in coordinates of its own, so that a basis is of no use to it."""
+    return bool(getattr(method, "own_basis", False))
 
 
 def certain(
-    model: LatentModel, data: Snapshots, method: Any, basis: Basis, parts: LatentParts
-) -> LatentModel:
+    model: ReducedModel, data: Snapshots, method: Regression, basis: Basis
+) -> ReducedModel:
     """The model with what it becomes without each part of the data, where that can be known."""
-    found = refits(data, method, model.order, basis, parts.first(model.order))
+    found = refits(data, method, model.order, basis)
     if found is None:
         return model
     return dataclasses.replace(model, refits=found[0], left_out=found[1])
@@ -98,22 +97,24 @@ def reduce_orders(
     orders: Sequence[int],
     test: Snapshots | None = None,
     basis: Basis | None = None,
-    parts: LatentParts | None = None,
     encoded: tuple[Encoded, Encoded | None] | None = None,
-) -> Iterator[LatentModel]:
+) -> Iterator[ReducedModel]:
     """Models of every method and order in one basis; the data are projected only once.
 
-    Same models and cards as `reduce` with that basis. `parts` and `encoded`, the samples in it,
-    are reused if given.
+    Same models and cards as `reduce` with that basis. What `basis` carries of the samples, and
+    `encoded`, the runs in it, are reused.
     """
     basis = fit_basis(data, max(orders)) if basis is None else basis
-    parts = LatentParts.of(data, basis) if parts is None else parts
+    basis = basis.with_parts(data)
     sensors: dict[int, StiffnessSensor | None] = {}
     for method in methods:
         for order in orders:
-            model = method.fit(data, order, basis, parts)
+            model = method.fit(data, order, test=test, basis=basis)
+            if model.card is not None or not in_basis(model, basis):
+                yield completed(model, method, data, test)
+                continue
             if refits_cheaply(method):
-                model = certain(model, data, method, truncated(basis, order), parts)
+                model = certain(model, data, method, truncated(basis, order))
             if encoded is None:
                 large = LatentModel(
                     np.zeros((basis.V.shape[1],) * 2),
@@ -129,13 +130,58 @@ def reduce_orders(
             yield done
 
 
+def in_basis(model: ReducedModel, basis: Basis) -> bool:
+    """Whether the coordinates of a model are the first of a basis."""
+    if not isinstance(model, LatentModel) or model.V is None:
+        return False
+    own, common = (model.V, model.mean, model.scale), (basis.V, basis.mean, basis.scale)
+    common = (common[0][:, : model.order], *common[1:])
+    return all(np.array_equal(a, b) for a, b in zip(own, common, strict=True))
+
+
+def completed(
+    model: ReducedModel, method: Reductor, data: Snapshots, test: Snapshots | None
+) -> ReducedModel:
+    """The model of a reductor with its card: its own, or the one that is measured here.
+
+    Raises
+    ------
+    ParameterError
+        When the reductor returned no reduced model, or one that no card can be put on.
+    """
+    needs(model, ReducedModel, f"what {described(method)}.fit returned")
+    if model.card is not None:
+        return model
+    fields = {f.name for f in dataclasses.fields(model)} if dataclasses.is_dataclass(model) else ()
+    lacks = [n for n in ("z_start", "sensor", "notes", "card") if n not in fields]
+    if lacks:
+        raise ParameterError(
+            f"{described(method)}.fit returned a {type(model).__name__} without a card, and "
+            f"{', '.join(lacks)} cannot be put on it; return a cs.LatentModel, a dataclass with "
+            "these fields, or a model with its card"
+        )
+    return complete(model, data, test)
+
+
+def described(method: Reductor) -> str:
+    """A reductor in words: its name and the settings that are not the default ones."""
+    name = getattr(method, "name", type(method).__name__)
+    if not dataclasses.is_dataclass(method):
+        return name
+    fields = dataclasses.fields(method)
+    if any(f.default is f.default_factory is dataclasses.MISSING for f in fields):
+        return repr(method)
+    own = [f.name for f in fields if getattr(method, f.name) != f.default]
+    return f"{name}({', '.join(f'{n}={getattr(method, n)!r}' for n in own)})"
+
+
 def complete(
-    model: LatentModel,
+    model: ReducedModel,
     data: Snapshots,
     test: Snapshots | None = None,
     encoded: tuple[Encoded, Encoded | None] | None = None,
     sensor: StiffnessSensor | None = None,
-) -> LatentModel:
+) -> ReducedModel:
     """The model with its start, sensor (fitted unless given), card, trained range, longest run."""
     encoded = encode_all(model, data, test) if encoded is None else encoded
     start = np.mean([encode_start(model, run) for run in data.runs], axis=0)
@@ -153,7 +199,7 @@ def complete(
 
 
 def sensor_of(
-    model: LatentModel,
+    model: ReducedModel,
     data: Snapshots,
     test: Snapshots | None,
     encoded: tuple[Encoded, Encoded | None],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ import scipy.linalg as sla
 
 from cellsys.errors import DataError, ParameterError
 from cellsys.model.latent import LatentModel
-from cellsys.reduction.basis import Basis, check_order
+from cellsys.reduction.basis import Basis, LatentParts
 from cellsys.samples.snapshots import Snapshots
 
 
@@ -49,84 +48,6 @@ def learned_model(
             "dropped_columns": basis.dropped,
             "variance_share": float(np.sum(basis.singular_values**2) / basis.total),
         },
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class LatentParts:
-    """Latent samples split into the parts of x and of eta, now and one sample ahead.
-
-    Each is (n_samples, m); `runs` and `samples` number the rows.
-    """
-
-    x_now: np.ndarray
-    x_next: np.ndarray
-    eta_now: np.ndarray
-    eta_next: np.ndarray
-    runs: np.ndarray
-    samples: np.ndarray
-
-    @classmethod
-    def of(cls, data: Snapshots, basis: Basis) -> LatentParts:
-        """Project all used samples and their successors, in one pass over the data."""
-        n = data.states.size
-        weight = basis.inverse_scale()[:, None] * basis.V
-        parts: list[list] = [[], [], [], []]
-        for run in data.runs:
-            x, eta = [], []
-            for piece in data.blocks(run, np.arange(run.n_pairs + 1), basis.mean):
-                x.append(piece[:, :n] @ weight[:n])
-                eta.append(piece[:, n:] @ weight[n:])
-            ks = run.usable()
-            for out, whole in ((parts[:2], x), (parts[2:], eta)):
-                rows = np.concatenate(whole)
-                out[0].append(rows[ks])
-                out[1].append(rows[ks + 1])
-        return cls(
-            *(np.concatenate(p) for p in parts),
-            data.run_ids,
-            np.concatenate([r.usable() for r in data.runs]),
-        )
-
-    def first(self, order: int) -> LatentParts:
-        """The first `order` coordinates."""
-        cut = (a[:, :order] for a in (self.x_now, self.x_next, self.eta_now, self.eta_next))
-        return LatentParts(*cut, self.runs, self.samples)
-
-    def where(self, rows: np.ndarray) -> LatentParts:
-        """A selection of samples."""
-        names = ("x_now", "x_next", "eta_now", "eta_next", "runs", "samples")
-        return LatentParts(*(getattr(self, name)[rows] for name in names))
-
-    @property
-    def now(self) -> np.ndarray:
-        """z at the samples."""
-        return self.x_now + self.eta_now
-
-    @property
-    def next(self) -> np.ndarray:
-        """z one sample later."""
-        return self.x_next + self.eta_next
-
-    def after_previous(self) -> np.ndarray:
-        """Rows whose previous sample belongs to the same run and is used too."""
-        same = (self.runs[1:] == self.runs[:-1]) & (np.diff(self.samples) == 1)
-        return np.flatnonzero(same) + 1
-
-
-def truncated(basis: Basis | None, order: int) -> Basis | None:
-    """The first `order` directions of a basis that has at least as many."""
-    check_order(order)
-    if basis is None or basis.V.shape[1] < order:
-        return None
-    return Basis(
-        basis.V[:, :order],
-        basis.singular_values[:order],
-        basis.mean,
-        basis.scale,
-        basis.total,
-        basis.dropped,
-        None if basis.residuals is None else basis.residuals[:order],
     )
 
 

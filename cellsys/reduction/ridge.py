@@ -11,8 +11,14 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.model.latent import LatentModel
-from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
-from cellsys.reduction.regression import LatentParts, StepSamples, learned_model, truncated
+from cellsys.reduction.basis import (
+    Basis,
+    ExactSVD,
+    RandomisedSVD,
+    fit_basis,
+    truncated,
+)
+from cellsys.reduction.regression import StepSamples, learned_model
 from cellsys.samples.snapshots import Snapshots
 from cellsys.units import real_number
 
@@ -55,15 +61,16 @@ class Ridge:
         self,
         data: Snapshots,
         order: int,
+        *,
+        test: Snapshots | None = None,
         basis: Basis | None = None,
-        parts: LatentParts | None = None,
     ) -> LatentModel:
         """Learn a model of order `order`.
 
-        `basis` (of at least that order) and `parts` (latent samples in it) are reused if given.
+        `basis`, of at least that order, is used if given, and the samples that it carries.
         """
         basis = truncated(basis, order) or fit_basis(data, order, method=self.svd)
-        parts = (LatentParts.of(data, basis) if parts is None else parts).first(order)
+        parts = basis.parts_of(data)
         step = data.dt if self.step is None else float(self.step)
         s = StepSamples.of(data, basis, parts, step)
         K, b = self._solve(s)
@@ -79,12 +86,12 @@ class Ridge:
         )
 
     def refit(
-        self, data: Snapshots, basis: Basis, parts: LatentParts, kept: np.ndarray
+        self, data: Snapshots, basis: Basis, kept: np.ndarray
     ) -> np.ndarray:
         """A (m, m) from the samples `kept` (n_samples,) alone, in the same basis."""
         step = data.dt if self.step is None else float(self.step)
-        samples = StepSamples.of(data, basis, parts, step, kept)
-        return self._solve(samples)[0][: parts.now.shape[1]].T
+        samples = StepSamples.of(data, basis, basis.parts_of(data), step, kept)
+        return self._solve(samples)[0][: basis.V.shape[1]].T
 
     def _solve(self, s: StepSamples) -> tuple[np.ndarray, np.ndarray]:
         rate = (s.ahead - s.now) / s.step - s.known

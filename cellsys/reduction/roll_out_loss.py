@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellsys.reduction.regression import LatentParts, StepSamples, samples_per_step
+from cellsys.reduction.basis import LatentParts
+from cellsys.reduction.regression import StepSamples, samples_per_step
 from cellsys.samples.snapshots import Snapshots
 
 

@@ -142,7 +142,8 @@ def select_model(
     data : Snapshots
         All training runs; test runs stay outside.
     methods : sequence of reductors
-        Anything with ``fit(snapshots, order)``; see `candidates` for their settings.
+        Anything with ``fit(snapshots, order, *, test=None, basis=None)``; see `candidates`
+        for their settings.
     orders : sequence of int
     folds, inner : int
         Outer folds (the reported error) and inner ones (the choice), at most one a run.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,8 +11,7 @@ import numpy as np
 from cellsys.errors import FileFormatError
 from cellsys.model.latent import LatentModel
 from cellsys.reduction import Basis
-from cellsys.reduction.basis import fit_basis
-from cellsys.reduction.regression import LatentParts
+from cellsys.reduction.basis import LatentParts, fit_basis
 from cellsys.samples import Snapshots
 from cellsys.store import fingerprint, load_archive, save_archive
 from cellsys.version import __version__
@@ -21,10 +21,9 @@ _KIND = "coordinates"
 
 
 class Coordinates(NamedTuple):
-    """One basis and all runs in it: what every smaller model of a sweep is cut from."""
+    """One basis, with all runs in it: what every smaller model of a sweep is cut from."""
 
     basis: Basis
-    parts: LatentParts
     encoded: tuple[Encoded, Encoded | None]
 
 
@@ -47,8 +46,8 @@ def learn_coordinates(data: Snapshots, test: Snapshots, order: int, path: Path) 
             return _unpack(arrays, meta, data)
     except (FileNotFoundError, FileFormatError, KeyError):
         pass
-    basis = fit_basis(data, order)
-    parts = LatentParts.of(data, basis)
+    basis = fit_basis(data, order).with_parts(data)
+    parts = basis.parts_of(data)
     large = LatentModel(
         np.zeros((order, order)),
         V=basis.V,
@@ -72,7 +71,7 @@ def learn_coordinates(data: Snapshots, test: Snapshots, order: int, path: Path) 
     save_archive(
         path, _KIND, 1, arrays, {"key": key, "total": basis.total, "dropped": basis.dropped}
     )
-    return Coordinates(basis, parts, encoded)
+    return Coordinates(basis, encoded)
 
 
 def _unpack(arrays: dict, meta: dict, data: Snapshots) -> Coordinates:
@@ -88,7 +87,8 @@ def _unpack(arrays: dict, meta: dict, data: Snapshots) -> Coordinates:
         *(arrays[k] for k in ("x_now", "x_next", "eta_now", "eta_next")),
         data.run_ids,
         np.concatenate([r.usable() for r in data.runs]),
+        data,
     )
     training = [arrays[f"training {i}"] for i in range(len(data.runs))]
     test = [v for k, v in arrays.items() if k.startswith("test ")]
-    return Coordinates(basis, parts, (Encoded(training, data), Encoded(test, data)))
+    return Coordinates(replace(basis, parts=parts), (Encoded(training, data), Encoded(test, data)))

@@ -55,7 +55,7 @@ class EquivariantStudy:
         if self.model is None:
             return self
         card = replace(self.model.card, floors=floors)
-        model = self.model.carrying(card=card)
+        model = replace(self.model, card=card)
         return replace(self, model=model, table=self.table | {"card": card.table()})
 
     def lines(self) -> list[str]:
@@ -111,13 +111,13 @@ def _learned(scene: Scene, data: Snapshots, test: Snapshots, kept: Path) -> Equi
             model = None  # written by another version, or damaged: learn it again
         if model is not None and model.notes.get("key") == key:
             return model
-    model = method.learn(data, order, test)
+    model = method.fit(data, order, test=test)
     try:
         model = with_matrix(model, GalerkinField(build(scene)), test, data)
     except (SceneError, RankError) as error:
         warned = (*model.card.warnings, f"matrix not measured: {error}")
-        model = model.carrying(card=replace(model.card, warnings=warned))
-    model = model.carrying(notes={**model.notes, "key": key})
+        model = replace(model, card=replace(model.card, warnings=warned))
+    model = replace(model, notes={**model.notes, "key": key})
     model.save(kept)
     return model
 

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from cellsys.contracts import LinearModel
 from cellsys.drawable import Drawable
 from cellsys.errors import IntegrationError
 from cellsys.model import LatentModel
@@ -104,7 +105,7 @@ def sweep_orders(
     return OrderSweep(tuple(rows), full_order_s, horizon), models
 
 
-def _price(model: LatentModel, test: Snapshots) -> float:
+def _price(model: LinearModel, test: Snapshots) -> float:
     """Seconds of one latent roll-out over the first held-out run, minimum of 3 after one.
 
     NaN where the roll-out diverges.

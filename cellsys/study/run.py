@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellsys.arguments import checked
+from cellsys.contracts import LinearModel
 from cellsys.errors import CellsysError, ParameterError, RankError
 from cellsys.integrate import CVODES
 from cellsys.loop import ClosedLoop, Linearisation, PolarityLaw, closed_loop
@@ -66,7 +67,7 @@ class StudyResult:
     scene: Scene
     run: Trajectory
     models: Mapping[tuple[str, int], LatentModel]
-    model: LatentModel
+    model: LinearModel
     sweep: OrderSweep
     poles: RootSet
     loop: ClosedLoop | None
@@ -114,7 +115,7 @@ def study(
     order: int = 10,
     workers: int = 2,
     resume: bool = True,
-    model: LatentModel | str | Path | None = None,
+    model: LinearModel | str | Path | None = None,
     progress: Progress | None = None,
 ) -> StudyResult | CrawlerStudy | CellsStudy:
     """From a scene to poles, margins, a closed-loop run and a report.
@@ -285,7 +286,7 @@ def _check(scene: Scene, order: int | None, folder: Path) -> None:
         )
 
 
-def plant_of(model: LatentModel) -> Any:
+def plant_of(model: LinearModel) -> Any:
     """The model's plant, continuous where it has a continuous form, else with its own step."""
     try:
         return model.plant()
@@ -309,7 +310,7 @@ def _plant(
 
 
 def _loop(
-    scene: Scene, model: LatentModel, main: Trajectory
+    scene: Scene, model: LinearModel, main: Trajectory
 ) -> tuple[ClosedLoop | None, Trajectory | None, Linearisation | None, Margins | None, str | None]:
     """The loop's parts, or Nones and the reason why there is no loop."""
     if "polarity" not in scene.effects:
@@ -330,7 +331,7 @@ def _loop(
 
 
 def _loop_table(
-    model: LatentModel,
+    model: LinearModel,
     main: Trajectory,
     reduced: Trajectory | None,
     linear: Linearisation | None,

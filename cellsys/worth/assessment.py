@@ -10,9 +10,8 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.contracts import ReducedModel
-from cellsys.errors import IntegrationError
+from cellsys.errors import IntegrationError, RepresentationError
 from cellsys.model.card import Card, resolution, verdict
-from cellsys.model.latent import LatentModel
 from cellsys.model.poles import fastest_growth
 from cellsys.samples.provenance import constant_commands, data_hash, repeated_runs, repeats
 from cellsys.samples.snapshots import RunData, Snapshots
@@ -49,7 +48,7 @@ def _as_slice(rows: np.ndarray) -> np.ndarray | slice:
     return rows
 
 
-def roll_out(model: LatentModel, data: Snapshots, run: RunData) -> np.ndarray:
+def roll_out(model: ReducedModel, data: Snapshots, run: RunData) -> np.ndarray:
     """x (T, n) of the model from the run's start under its commands.
 
     Raises
@@ -61,12 +60,12 @@ def roll_out(model: LatentModel, data: Snapshots, run: RunData) -> np.ndarray:
     if data.command_names:
         commands = data.commands_of(run, model.input_names)
     else:
-        commands = np.asarray(run.u) if model.B.shape[1] and run.u is not None else None
+        commands = np.asarray(run.u) if len(model.input_names) and run.u is not None else None
     return model.reconstruct(predict_samples(model, z0, commands, data.dt, len(run.x)))
 
 
 def predict_samples(
-    model: LatentModel, z0: np.ndarray, commands: np.ndarray | None, dt: float, samples: int
+    model: ReducedModel, z0: np.ndarray, commands: np.ndarray | None, dt: float, samples: int
 ) -> np.ndarray:
     """z (samples, m) every dt s, commands (samples - 1, n_c).
 
@@ -87,26 +86,20 @@ def predict_samples(
     return z[k] + (share / every)[:, None] * (z[ahead] - z[k])
 
 
-def encode_start(model: LatentModel, run: RunData) -> np.ndarray:
+def encode_start(model: ReducedModel, run: RunData) -> np.ndarray:
     """z of a run's start from its instantaneous laws, never from a logged average."""
-    return model.encode(np.asarray(run.x[0]), run.eta_start if _reads_eta(model) else None)
+    return model.encode(np.asarray(run.x[0]), run.eta_start)
 
 
-def _reads_eta(model: LatentModel) -> bool:
-    """Whether auxiliaries are among the model's coordinates."""
-    return model.V is None or len(model.V) > model.n_states
-
-
-def encode_run(model: LatentModel, run: RunData) -> np.ndarray:
+def encode_run(model: ReducedModel, run: RunData) -> np.ndarray:
     """z (T - 1, m) of a run's samples, from states and logged auxiliaries."""
-    eta = np.asarray(run.eta) if run.eta is not None and _reads_eta(model) else None
-    z = model.encode(np.asarray(run.x)[:-1], eta)
+    z = model.encode(np.asarray(run.x)[:-1], None if run.eta is None else np.asarray(run.eta))
     run.release()
     return z
 
 
 def run_errors(
-    model: LatentModel,
+    model: ReducedModel,
     data: Snapshots,
     run: RunData,
     rows: Mapping[str, np.ndarray | slice],
@@ -151,7 +144,7 @@ def baselines(
 
 
 def floors(
-    model: LatentModel, run: RunData, rows: Mapping[str, np.ndarray | slice], latent: np.ndarray
+    model: ReducedModel, run: RunData, rows: Mapping[str, np.ndarray | slice], latent: np.ndarray
 ) -> dict[str, float]:
     """Relative projection error of one run whose encoded samples are `latent` (T - 1, >= m)."""
     x = np.asarray(run.x)
@@ -175,7 +168,7 @@ def mean_motion(data: Snapshots, leave: RunData | None = None) -> np.ndarray | N
 
 
 def errors(
-    model: LatentModel, data: Snapshots, known: Encoded, leave: Sequence[int] = ()
+    model: ReducedModel, data: Snapshots, known: Encoded, leave: Sequence[int] = ()
 ) -> dict[str, dict[str, float]]:
     """Root mean square over runs of `run_errors`, of the training or the held-out runs.
 
@@ -213,7 +206,7 @@ class Encoded:
     kept: dict = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, model: LatentModel, data: Snapshots, training: Snapshots) -> Encoded:
+    def of(cls, model: ReducedModel, data: Snapshots, training: Snapshots) -> Encoded:
         """`model` is any model with the large basis."""
         return cls([encode_run(model, r) for r in data.runs], training)
 
@@ -224,7 +217,7 @@ class Encoded:
 
     def references(
         self,
-        model: LatentModel,
+        model: ReducedModel,
         data: Snapshots,
         i: int,
         rows: Mapping[str, np.ndarray | slice],
@@ -247,11 +240,25 @@ class Encoded:
 
 
 def encode_all(
-    model: LatentModel, data: Snapshots, test: Snapshots | None
+    model: ReducedModel, data: Snapshots, test: Snapshots | None
 ) -> tuple[Encoded, Encoded | None]:
     """Training and held-out runs in the basis of `model`."""
     held = None if test is None else Encoded.of(model, test, data)
     return Encoded.of(model, data, data), held
+
+
+def _has_coordinates(model: ReducedModel, data: Snapshots) -> bool:
+    """Whether a model reconstructs the states of the data; refused where it makes others."""
+    try:
+        width = np.shape(model.reconstruct(np.zeros(model.order)))
+    except RepresentationError:
+        return False
+    if width != (data.states.size,):
+        raise RepresentationError(
+            f"this {type(model).__name__} reconstructs {width}, the data have "
+            f"{data.states.size} states; the reductor that made it measures it: see model.card"
+        )
+    return True
 
 
 @checked
@@ -263,12 +270,18 @@ def assess(
 ) -> Card:
     """The card of a model: training and held-out errors beside floor and baselines.
 
-    `encoded` are the training and the held-out runs in a basis that starts with the model's.
+    `encoded` are the training and the held-out runs in a basis that starts with the model's. A
+    model without coordinates (a `LatentModel` given without V) gets a card without errors.
+
+    Raises
+    ------
+    RepresentationError
+        A model that reconstructs other things than the states of the data.
     """
     training: dict = {}
     held_out: dict = {}
     repeated = [] if test is None else repeated_runs(test, data)
-    if model.V is not None and position_rows(data):
+    if position_rows(data) and _has_coordinates(model, data):
         encoded = encode_all(model, data, test) if encoded is None else encoded
         training = errors(model, data, encoded[0])
         if test is not None:

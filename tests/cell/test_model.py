@@ -9,6 +9,7 @@ from scipy.optimize import linear_sum_assignment
 import cellsys as cs
 from cellsys.cell.records import read_records
 from cellsys.cell.reductor import sites_of
+from cellsys.model import basis_of
 from cellsys.samples.commands import harmonic_value
 
 from .runs import data, model, runs
@@ -146,13 +147,23 @@ def test_file_that_claims_contraction_falsely_is_refused(tmp_path):
         cs.LatentModel.load(path)
 
 
-def test_what_it_has_no_basis_for_is_refused_by_name():
+def test_a_basis_is_refused_by_name():
+    for name in ("P_phi", "the matrix rows"):
+        with pytest.raises(cs.RepresentationError, match=f"{name} needs the rows of V"):
+            basis_of(model(), name)
+    assert not hasattr(model(), "V")  # a sibling of LatentModel, not a kind of it
+    assert not isinstance(model(), cs.LatentModel)
+
+
+def test_fields_are_replaced_as_in_any_dataclass():
     m = model()
-    for name in ("V", "V_x", "V_eta"):
-        with pytest.raises(cs.RepresentationError, match=name):
-            getattr(m, name)
-    with pytest.raises(cs.RepresentationError):
-        m.reconstruct_eta(m.z_start)
+    other = dataclasses.replace(m, horizon=30.0, left_out="group of runs")
+    assert other.left_out == "group of runs"
+    np.testing.assert_array_equal(other.A, m.at(30.0).A)
+    frozen = dataclasses.replace(m.at(30.0), left_out="stretch")
+    assert (frozen.left_out, frozen.order) == ("stretch", m.order)
+    with pytest.raises(ValueError, match="init=False"):
+        dataclasses.replace(m, A=m.A)  # it follows from the dynamics
 
 
 @pytest.mark.parametrize(

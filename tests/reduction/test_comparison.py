@@ -21,7 +21,7 @@ class Growing:
     name = "Growing"
     own_basis = True
 
-    def fit(self, data, order, basis=None, parts=None):
+    def fit(self, data, order, *, test=None, basis=None):
         model = LeastSquares().fit(data, order)
         A = model.A + 2.0 * np.eye(order)
         return LatentModel(

@@ -7,7 +7,6 @@ from cellsys.errors import IntegrationError, ParameterError
 from cellsys.model import LatentModel, contraction
 from cellsys.model.contraction import clipped, contraction_metric, shrunk
 from cellsys.reduction import Contractive, fit_basis, reduce
-from cellsys.reduction.regression import LatentParts
 from cellsys.reduction.roll_out_loss import RollOuts, adam
 from tests.reduction.systems import linear_runs, spreading_data, stable_matrix, state_data
 
@@ -69,11 +68,10 @@ def test_every_order_contracts(loss, metric):
     """Norm <= 1 + 1e-12 from 5 to 200 (the issue's bound), on the loaded model's own matrices."""
     largest = 200 if metric == "fitted" else 60
     data = spreading_data(n=140, n_eta=100, T=80, runs=4)
-    basis = fit_basis(data, largest)
-    parts = LatentParts.of(data, basis)
+    basis = fit_basis(data, largest).with_parts(data)
     for order in (5, 20, largest):
         method = Contractive(loss=loss, metric=metric, iterations=8, delta=1e-3)
-        certificate = contraction(method.fit(data, order, basis, parts))
+        certificate = contraction(method.fit(data, order, basis=basis))
         assert certificate.norm <= 1.0 + 1e-12
         assert "does not" not in str(certificate)
 
@@ -81,13 +79,12 @@ def test_every_order_contracts(loss, metric):
 def test_bounded_for_ever_where_the_same_fit_without_the_bound_is_not(tmp_path):
     """1e6 s under the largest command; the bound |w_0| + sup |input| / delta holds at each."""
     data = spreading_data(seed=3, runs=3, T=60)
-    basis = fit_basis(data, 40)
-    parts = LatentParts.of(data, basis)
+    basis = fit_basis(data, 40).with_parts(data)
     t = np.arange(0.0, DAY + 1, 1e3)
     escaped = []
     for order in (5, 10, 20, 40):
         method = Contractive(delta=1e-3, metric="whitened", iterations=30)
-        model = method.fit(data, order, basis, parts)
+        model = method.fit(data, order, basis=basis)
         again = LatentModel.load(model.save(tmp_path / "m.npz"))
         assert contraction(again).norm < 1.0
         sd = model.singular_values
@@ -98,7 +95,7 @@ def test_bounded_for_ever_where_the_same_fit_without_the_bound_is_not(tmp_path):
         assert np.linalg.norm(z / sd, axis=1).max() <= bound
         free = Contractive(delta=None, metric="whitened", iterations=30)
         try:
-            grown = free.fit(data, order, basis, parts).predict(np.zeros(order), c, t)
+            grown = free.fit(data, order, basis=basis).predict(np.zeros(order), c, t)
             escaped.append(bool(np.linalg.norm(grown / sd, axis=1).max() > bound))
         except IntegrationError:
             escaped.append(True)

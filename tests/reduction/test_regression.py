@@ -46,12 +46,12 @@ def test_pcr_is_least_squares_dmd_in_pca_coordinates(scale, order):
     data = one_step_data(seed=order, scale=scale)
     basis = fit_basis(data, order)
     A, b = dmd_with_known_input(data, basis)
-    model = PCR().fit(data, order, basis)
+    model = PCR().fit(data, order, basis=basis)
     # 1e-9 of the matrix: lstsq of a table with condition below 1e3 loses three of 16 digits
     assert np.abs(model.A - A).max() < 1e-9 * np.abs(A).max()
     assert np.abs(model.offset - b).max() < 1e-9 * max(1.0, np.abs(b).max())
 
-    backward = PCR(difference="backward").fit(data, order, basis)
+    backward = PCR(difference="backward").fit(data, order, basis=basis)
     assert np.abs(backward.A - A).max() > 1e-3 * np.abs(A).max()
 
 
@@ -101,7 +101,7 @@ def test_literal_form_is_equation_24_written_out(scale):
     W_x, W_eta = data.W_x.toarray(), data.W_eta.toarray()
     A = V[:n].T @ (W_x @ V[:n] + W_eta @ V[n:]) + V[n:].T @ K
     centred = fit_basis(data, order)
-    model = PCR(literal=True).fit(data, order, centred)  # a basis that it must not take
+    model = PCR(literal=True).fit(data, order, basis=centred)  # a basis that it must not take
     # singular vectors have signs: compare what does not depend on them
     signs = np.sign(np.sum(V * model.V, axis=0))
     assert np.abs(signs[:, None] * A * signs - model.A).max() < 1e-9 * np.abs(A).max()
@@ -215,7 +215,7 @@ def test_pcr_on_trajectories_predicts_what_was_recorded():
     ]
     data = snapshots(runs)
     basis = fit_basis(data, 4)
-    model = PCR().fit(data, 4, basis)
+    model = PCR().fit(data, 4, basis=basis)
     A, _ = dmd_with_known_input(
         dataclasses.replace(
             data, runs=tuple(dataclasses.replace(r, u=np.zeros((60, n))) for r in data.runs)

@@ -94,7 +94,7 @@ def test_refusals():
     with pytest.raises(ParameterError, match="multiple"):
         Ridge(step=1.0).fit(data, 2)
     with pytest.raises(DataError, match="stretch of 60 s"):
-        Ridge(step=60.0).fit(data, 2, fit_basis(data, 2))
+        Ridge(step=60.0).fit(data, 2, basis=fit_basis(data, 2))
     for bad in ({"ridge": -1.0}, {"ridge": np.nan}, {"step": 0.0}, {"step": np.inf}):
         with pytest.raises(ParameterError, match="Ridge"):
             Ridge(**bad)

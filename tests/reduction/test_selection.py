@@ -25,7 +25,7 @@ class Spy:
     name = "Spy"
     own_basis = True
 
-    def fit(self, data, order, basis=None, parts=None):
+    def fit(self, data, order, *, test=None, basis=None):
         SEEN.append({r.label for r in data.runs})
         return LeastSquares().fit(data, order)
 

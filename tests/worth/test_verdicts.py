@@ -129,7 +129,7 @@ def test_the_larger_of_two_bounds_is_shown_everywhere(tmp_path):
 def test_certainty_of_poles():
     data = one_step_data(seed=9, runs=5, T=60)
     result = pole_certainty(data, PCR(), 6)
-    assert np.array_equal(result.poles, PCR().fit(data, 6, fit_basis(data, 6)).poles())
+    assert np.array_equal(result.poles, PCR().fit(data, 6, basis=fit_basis(data, 6)).poles())
     assert result.spread.shape == (6,)
     assert np.all(result.spread > 0)
     # of one run: stretches of it are left out
@@ -151,7 +151,7 @@ def test_spread_is_that_of_models_fitted_without_each_run(method):
     far = np.zeros(3)
     for i in range(4):
         rest = dataclasses.replace(data, runs=tuple(r for j, r in enumerate(data.runs) if j != i))
-        other = method.fit(rest, 3, basis).poles()
+        other = method.fit(rest, 3, basis=basis).poles()
         best = min(itertools.permutations(other), key=lambda o: np.abs(result.poles - o).sum())
         far = np.maximum(far, np.abs(result.poles - np.array(best)))
     real = np.abs(result.poles.imag) < 1e-12

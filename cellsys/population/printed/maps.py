@@ -19,24 +19,11 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.arguments import checked
+from cellsys.contracts import ReducedModel
 from cellsys.errors import DataError, DimensionError, ParameterError, RepresentationError
-from cellsys.model import LatentModel
+from cellsys.model import basis_of
 
 _ORTHONORMAL = 1e-8  # |V^T V - I| up to which the split P + V_alpha^T V_alpha = I is meant to hold
-
-
-def basis_of(model: Any, what: str) -> np.ndarray:
-    """V of a model, or a `RepresentationError` that names the model and what needed it."""
-    try:
-        V = getattr(model, "V", None)
-    except RepresentationError:
-        V = None
-    if V is None:
-        raise RepresentationError(
-            f"{what} needs the rows of V, and this {type(model).__name__} has none; use LoadPorts, "
-            "or a model reduced with PCR or LeastSquares (a LatentModel made from arrays: pass V=)"
-        )
-    return np.asarray(V)
 
 
 def field_rows(model: Any, rows: str | Sequence[int], what: str = "a field map") -> np.ndarray:
@@ -87,7 +74,7 @@ def other_rows(model: Any, rows: np.ndarray, what: str) -> np.ndarray:
 
 
 @checked
-def P_phi(model: LatentModel, rows: str | Sequence[int] = "field") -> np.ndarray:
+def P_phi(model: ReducedModel, rows: str | Sequence[int] = "field") -> np.ndarray:
     """P_phi = V_phi^T V_phi (m, m) of the matrix rows [thesis eq. 29].
 
     Raises
@@ -100,7 +87,7 @@ def P_phi(model: LatentModel, rows: str | Sequence[int] = "field") -> np.ndarray
 
 
 @checked
-def P_F_phi(model: LatentModel) -> np.ndarray:
+def P_F_phi(model: ReducedModel) -> np.ndarray:
     """P_Fphi = V_F^T V_F (m, m) of the matrix's force rows, those among the auxiliaries [84]."""
     V_F = basis_of(model, "P_F_phi")[field_rows(model, "forces", "P_F_phi")]
     return V_F.T @ V_F
@@ -108,7 +95,7 @@ def P_F_phi(model: LatentModel) -> np.ndarray:
 
 @checked
 def P_c(
-    model: LatentModel, rows: Sequence[int] | None = None, *, order: str = "node"
+    model: ReducedModel, rows: Sequence[int] | None = None, *, order: str = "node"
 ) -> np.ndarray:
     """P_c = V_c^T kron(ones(n, n)/n, I_3) V_c: the latent state of the cell's centre [84].
 
@@ -169,7 +156,7 @@ class ForceMap:
 
 @checked
 def fit_P_map(
-    model: LatentModel,
+    model: ReducedModel,
     latent: np.ndarray,
     *,
     cell_rows: Sequence[int] | None = None,
