@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FAST = {
     "bring_your_own_model.py",
     "bring_your_own_snapshots.py",
+    "your_own_reductor.py",
     "bond_graph.py",
 }
 SCRIPTS = sorted(

@@ -20,6 +20,7 @@ from cellsys.reduction.least_squares import LeastSquares
 from cellsys.reduction.pcr import PCR
 from cellsys.reduction.reduce import brings_basis, completed, described, reduce_orders
 from cellsys.reduction.ridge import Ridge
+from cellsys.samples.provenance import repeated_runs
 from cellsys.samples.snapshots import Snapshots
 
 METHODS = (PCR(), LeastSquares(), Ridge(), Contractive())
@@ -131,7 +132,7 @@ def compare_reductors(
     Parameters
     ----------
     train, test : Snapshots
-        Different runs; a run label that occurs in both is refused.
+        Different runs; one that occurs in both, sample by sample, is refused.
     orders : sequence of int
     methods : sequence of reductors, optional
         Anything with ``fit(snapshots, order, *, test=None, basis=None)``; default PCR,
@@ -168,11 +169,14 @@ def compare_reductors(
 
 
 def refuse_shared_runs(train: Snapshots, test: Snapshots) -> None:
-    """ParameterError where a run (by label) is in both sets."""
-    both = {r.label for r in train.runs if r.label} & {r.label for r in test.runs}
-    if both:
+    """ParameterError where a held-out run is a training run, sample by sample.
+
+    Labels do not tell: runs given as arrays are numbered from 0 in every set.
+    """
+    for i in repeated_runs(test, train)[:1]:
+        name = test.runs[i].label or f"run {i}"
         raise ParameterError(
-            f"run {min(both)!r} is in the training and in the held-out set; split by run"
+            f"{name!r} is in the training and in the held-out set; split by run"
         )
 
 
