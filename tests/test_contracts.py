@@ -102,7 +102,7 @@ def test_what_is_missing_is_named(bare):
     with pytest.raises(ParameterError, match="model must be a reduced model"):
         needs(bare, ReducedModel, "model")
     if isinstance(bare, SimpleNamespace):
-        with pytest.raises(ParameterError, match="has no .*encode, reconstruct, predict"):
+        with pytest.raises(ParameterError, match=r"has no .*encode, reconstruct, predict"):
             needs(bare, ReducedModel, "model")
 
 
