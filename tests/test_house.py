@@ -277,7 +277,6 @@ def sniffed(sources: dict[str, str], members: set[str]) -> set[tuple[str, str]]:
 SNIFFED = {
     ("cellsys/integrate/simulate.py", "solve"),
     ("cellsys/population/splitting.py", "step"),
-    ("cellsys/reduction/reduce.py", "fit"),
 }
 
 

@@ -17,10 +17,11 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.model import basis_of
 from cellsys.population.headings import loop_of
 from cellsys.population.printed.blocks import PrintedForm
 from cellsys.population.printed.cells import CoupledCells
-from cellsys.population.printed.maps import ForceMap, basis_of, field_rows
+from cellsys.population.printed.maps import ForceMap, field_rows
 from cellsys.population.request import CouplingRequest
 from cellsys.units import real_array
 
