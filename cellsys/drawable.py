@@ -9,8 +9,10 @@ from __future__ import annotations
 import importlib
 from typing import Any, ClassVar
 
+from cellsys.shown import Shown
 
-class Drawable:
+
+class Drawable(Shown):
     """Mixin: `plot(ax=None)` calls the function of `cellsys.figures` named by `_figure`."""
 
     _figure: ClassVar[str]

@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError
+from cellsys.shown import Shown
 from cellsys.system import Event, Layout
 
 SOON = 5.0  # s: a run that took longer is not solved again only to be printed
@@ -26,7 +27,7 @@ def cell_names(states: Layout) -> list[str]:
 
 @checked
 @dataclass(frozen=True, eq=False)
-class ErrorEstimate:
+class ErrorEstimate(Shown):
     """The integrator's part of a run's error: its largest value over the samples.
 
     Parameters

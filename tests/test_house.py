@@ -32,7 +32,7 @@ FLOORS = [
     ("contracts", "state_space"),
     ("laws", "store"),
     ("system", "overdamped", "trajectory", "drawable"),
-    ("units", "arguments", "kinds", "printable", "errors", "version"),
+    ("units", "arguments", "kinds", "printable", "shown", "errors", "version"),
     ("renamed",),
 ]
 FLOOR = {room: height for height, rooms in enumerate(reversed(FLOORS)) for room in rooms}

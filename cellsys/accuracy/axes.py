@@ -30,6 +30,7 @@ from cellsys.population import (
 from cellsys.reduction import compare_reductors, learning_curve
 from cellsys.samples import Snapshots
 from cellsys.scene import Scene, build
+from cellsys.shown import Shown
 
 NUDGE = 1e-13  # of one weight: enough for the dense route, far below every tolerance
 SHIFT = 0.005  # um
@@ -48,7 +49,7 @@ class CostRow:
 
 @checked
 @dataclass(frozen=True)
-class CostAxis:
+class CostAxis(Shown):
     """What one axis of settings costs and how far off each setting is.
 
     Parameters

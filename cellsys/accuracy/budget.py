@@ -37,11 +37,12 @@ from cellsys.integrate.simulate import check_times
 from cellsys.kinds import Seed
 from cellsys.loop import ClosedLoop, ScheduledLoop, closed_loop
 from cellsys.scene import Scene
+from cellsys.shown import Shown
 
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Budget:
+class Budget(Shown):
     """The answer of `budget`.
 
     Parameters

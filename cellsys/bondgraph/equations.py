@@ -20,12 +20,13 @@ from cellsys.bondgraph.linearization import linearize
 from cellsys.bondgraph.state_equations import StateEquations
 from cellsys.bondgraph.structure import build
 from cellsys.bondgraph.writing import latex, text
+from cellsys.shown import Shown
 from cellsys.system import OdeSystem
 
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Equations(StateEquations):
+class Equations(StateEquations, Shown):
     """State equations of a bond graph [thesis eq. 5],
 
         dx/dt = W_x x + W_eta eta(t, x) + W_s s(t)

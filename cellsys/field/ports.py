@@ -13,6 +13,7 @@ import scipy.sparse.linalg as spla
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.shown import Shown
 
 MOST_DENSE = 3000  # coordinates: beyond, dense matrices and their eigenvalues take minutes
 _ANGLES = 400  # frequencies on the unit circle
@@ -20,7 +21,7 @@ _ANGLES = 400  # frequencies on the unit circle
 
 @checked
 @dataclass(frozen=True)
-class FieldPassivity:
+class FieldPassivity(Shown):
     """What the passivity of a field rests on; from `GradientField.passivity`.
 
     Attributes

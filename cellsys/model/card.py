@@ -19,13 +19,14 @@ from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.kinds import shown
 from cellsys.printable import printable
+from cellsys.shown import Shown
 
 DIVERGED = 1e6  # a relative error beyond this is reported as "diverges"
 
 
 @checked
 @dataclass(frozen=True)
-class Card:
+class Card(Shown):
     """What a model is worth.
 
     Parameters

@@ -10,11 +10,12 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.model.latent import LatentModel
+from cellsys.shown import Shown
 
 
 @checked
 @dataclass(frozen=True)
-class Contraction:
+class Contraction(Shown):
     """Certificate of a discrete model: |T A T^-1|_2 < 1 bounds every roll-out.
 
     Parameters

@@ -10,6 +10,7 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError
+from cellsys.shown import Shown
 
 _NOTE = "trained_range"
 _SLACK = 1e-9  # of the larger bound: rounding of a range of one value
@@ -17,7 +18,7 @@ _SLACK = 1e-9  # of the larger bound: rounding of a range of one value
 
 @checked
 @dataclass(frozen=True)
-class Flag:
+class Flag(Shown):
     """Something outside the trained range: when, what, its value and the bound."""
 
     time: float

@@ -19,6 +19,7 @@ from cellsys.kinds import Count
 from cellsys.mechanics.contact import edge_gap, gap_at, until_contact
 from cellsys.observe.spreading import contact_radius, node_speed
 from cellsys.scene.scene import Scene
+from cellsys.shown import Shown
 from cellsys.system import Layout
 from cellsys.trajectory import Trajectory
 from cellsys.units import shaped_array
@@ -29,7 +30,7 @@ RIM = 0.87  # share of the matrix radius beyond which the clamped edge is felt
 
 @checked
 @dataclass(frozen=True, eq=False)
-class PairReadout:
+class PairReadout(Shown):
     """What two cells do to each other's matrix, beside one cell alone.
 
     Speeds are means over nodes and times, nm/s. `alone` are means over the controls, each cell
@@ -177,7 +178,7 @@ def speed_against_spacing(readouts: Sequence[PairReadout]) -> np.ndarray:
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Attenuation:
+class Attenuation(Shown):
     """How a matrix displacement decays away from a cell: u ~ exp(-r/length).
 
     Attributes

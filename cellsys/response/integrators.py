@@ -9,6 +9,7 @@ import scipy.linalg as sla
 
 from cellsys.arguments import checked
 from cellsys.response.realization import EPS
+from cellsys.shown import Shown
 
 MARGINAL = "marginal: stable apart from its integrators"
 
@@ -20,7 +21,7 @@ def counted(number: int) -> str:
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Integrators:
+class Integrators(Shown):
     """Null directions of A (of A - I in discrete time).
 
     Attributes

@@ -10,6 +10,7 @@ import scipy.linalg as sla
 
 from cellsys.arguments import checked
 from cellsys.response.realization import EPS
+from cellsys.shown import Shown
 
 
 def lyapunov(A: np.ndarray, Q: np.ndarray, *, discrete: bool) -> tuple[np.ndarray, float]:
@@ -66,7 +67,7 @@ def _stein(A: np.ndarray, Q: np.ndarray) -> np.ndarray:
 
 @checked
 @dataclass(frozen=True, eq=False)
-class LyapunovCertificate:
+class LyapunovCertificate(Shown):
     """P with A^T P + P A = -I (A^T P A - P = -I in discrete time), or why there is none.
 
     Attributes

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import Any, ClassVar
 
@@ -131,7 +131,15 @@ class RootSet(Drawable, np.ndarray):
         return "\n".join(lines)
 
     def __repr__(self) -> str:
-        return repr(np.asarray(self))
+        """The roots with their bounds, at most twenty."""
+        return str(self) if self._detail is not None else repr(np.asarray(self))
+
+    def _rows(self) -> tuple[Sequence[str], Sequence[Sequence[object]]] | None:
+        if self._detail is None:
+            return None
+        names = (self.kind, "error bound", "condition number", "roots in the cluster")
+        columns = (np.asarray(self), self.error_bound, self.condition, self.cluster_size)
+        return names, [[v.item() for v in row] for row in zip(*columns, strict=True)]
 
 
 def _plain(value: Any) -> Any:

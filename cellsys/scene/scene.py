@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -68,6 +69,20 @@ class Scene:
     seed: Seed = 0
     step: float = 0.5
     until: str | None = None
+
+    def __repr__(self) -> str:
+        """The scene in a few lines."""
+        matrix = "no matrix"
+        if isinstance(self.matrix, ChainScene):
+            matrix = f"a chain of {self.matrix.nodes} nodes"
+        elif self.matrix is not None:
+            matrix = f"a disc of {self.matrix.diameter:g} um"
+        effects = textwrap.shorten(", ".join(self.effects) or "none", 400, placeholder=" ...")
+        text = (
+            f"Scene {self.name!r}: {len(self.cells)} cell{'s' * (len(self.cells) != 1)}, {matrix}, "
+            f"{self.duration:g} s every {self.sample:g} s; effects: {effects}"
+        )
+        return textwrap.fill(text, 100, subsequent_indent="    ")
 
     @staticmethod
     def parse(table: Mapping[str, Any], *, effects: Iterable[type[Effect]] = ()) -> Scene:

@@ -24,6 +24,7 @@ from cellsys.observe import (
     summary_of_run,
 )
 from cellsys.scene import Scene, build, run_ensemble, run_scene
+from cellsys.shown import Shown
 from cellsys.store import write_json, write_text
 from cellsys.study.fields import draw_displacement
 from cellsys.study.files import plain, save_run
@@ -37,7 +38,7 @@ MOST_PATHS = 4  # three lines each
 
 
 @dataclass(frozen=True, eq=False)
-class CellsStudy:
+class CellsStudy(Shown):
     """What `study` computed of a scene without a model of its own.
 
     Attributes

@@ -15,6 +15,7 @@ import numpy as np
 from cellsys.figures import chain_displacement, crawler_run, save_png, sheet
 from cellsys.mechanics.crawler_run import CrawlRun, judge
 from cellsys.scene import Scene, build, run_scene
+from cellsys.shown import Shown
 from cellsys.store import write_json, write_text
 from cellsys.study.files import plain, save_run
 from cellsys.study.html import STYLE, image, table
@@ -22,7 +23,7 @@ from cellsys.study.measure import read_out_name, short_number
 
 
 @dataclass(frozen=True, eq=False)
-class CrawlerStudy:
+class CrawlerStudy(Shown):
     """What `study` computed of a scene on a chain.
 
     Attributes

@@ -18,11 +18,12 @@ from cellsys.scene.ensemble import run_scene
 from cellsys.scene.scene import Scene
 from cellsys.scene.timing import time_shares
 from cellsys.scene.variants import without
+from cellsys.shown import Shown
 from cellsys.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
-class Worth:
+class Worth(Shown):
     """One effect of a scene.
 
     Parameters

@@ -15,13 +15,14 @@ from cellsys.loop import PolarityLaw
 from cellsys.observe import heading_error_deg
 from cellsys.population import FieldSensor, LoadPorts, couple
 from cellsys.scene import Scene
+from cellsys.shown import Shown
 from cellsys.trajectory import Trajectory, cell_names
 
 MATRIX = "matrix.displacement"
 
 
 @dataclass(frozen=True, eq=False)
-class ReducedCells:
+class ReducedCells(Shown):
     """Reduced cells against the full-order run, up to its end.
 
     Attributes

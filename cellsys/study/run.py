@@ -23,6 +23,7 @@ from cellsys.reduction.basis import check_order
 from cellsys.response import Margins, RootSet, margins, stability
 from cellsys.samples import Snapshots, snapshots
 from cellsys.scene import ChainScene, Scene, build, load_scene, run_ensemble, training_scenes
+from cellsys.shown import Shown
 from cellsys.store import discard_partial, write_json
 from cellsys.study.coordinates import learn_coordinates
 from cellsys.study.equivariant import EquivariantStudy, study_equivariant, sweep_row
@@ -42,7 +43,7 @@ Progress = Callable[[str, float], None]
 
 @checked
 @dataclass(frozen=True, eq=False)
-class StudyResult:
+class StudyResult(Shown):
     """What `study` computed; everything the report shows.
 
     Attributes

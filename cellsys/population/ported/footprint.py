@@ -15,6 +15,7 @@ import scipy.sparse as sp
 from cellsys.arguments import checked
 from cellsys.contracts import MatrixField
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.shown import Shown
 from cellsys.units import real_array
 
 
@@ -125,7 +126,7 @@ class LinearField:
 
 
 @dataclass(frozen=True)
-class RestPassivity:
+class RestPassivity(Shown):
     """Passivity of the matrix C q' = -K q + load at every port E that gathers as it scatters.
 
     Attributes

@@ -23,13 +23,14 @@ from cellsys.population.ported.footprint import (
 from cellsys.population.ported.placement import Placement
 from cellsys.population.ported.ports import CellPort, PortPassivity
 from cellsys.population.verdict import CoupledStability, judge
+from cellsys.shown import Shown
 from cellsys.state_space import state_space
 
 DENSE_LIMIT = 4000
 
 
 @dataclass(frozen=True, eq=False)
-class PortCertificate:
+class PortCertificate(Shown):
     """Why the whole is stable for every K and every placement, or which part fails.
 
     Attributes

@@ -17,6 +17,7 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.model import StiffnessSensor
+from cellsys.shown import Shown
 from cellsys.units import real_array
 
 ACTIVE = -1e-10  # a port below counts as active [notes: theory, passivity]
@@ -228,7 +229,7 @@ class CellPort:
 
 @checked
 @dataclass(frozen=True)
-class PortPassivity:
+class PortPassivity(Shown):
     """Passivity of a cell's port.
 
     Attributes

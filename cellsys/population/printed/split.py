@@ -18,6 +18,7 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.population.printed.maps import other_rows
+from cellsys.shown import Shown
 
 EPS = float(np.finfo(float).eps)
 DOUBTFUL = 1e-7  # below, data do not decide [notes: theory, rank decision]
@@ -25,7 +26,7 @@ DOUBTFUL = 1e-7  # below, data do not decide [notes: theory, rank decision]
 
 @checked
 @dataclass(frozen=True, eq=False)
-class FieldSplit:
+class FieldSplit(Shown):
     """Latent directions ordered from all cell to all matrix.
 
     Attributes
