@@ -229,6 +229,7 @@ def test_guards_are_the_adhesion_stretches(name):
     assert system.events()[0].guard(0.0, blocked) == 1.0
 
 
+@pytest.mark.slow
 def test_stiff_chain_drag_wants_an_implicit_method():
     """b_E = 0.005: LSODA takes a small share of DOP853's evaluations, and agrees to 1e-5."""
     system = build_crawlers([Crawler()], Chain(drag=0.005))

@@ -290,6 +290,7 @@ def facing(until="contact"):
     return cs.Scene.parse({k: v for k, v in table.items() if v is not None})
 
 
+@pytest.mark.slow
 def test_a_scene_ends_where_its_cells_touch(tmp_path):
     scene = facing()
     run = cs.run_scene(scene)

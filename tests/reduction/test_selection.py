@@ -95,6 +95,7 @@ def test_the_choice_is_the_best_candidate_and_the_nested_error_is_that_of_its_fo
     mpl.pyplot.close("all")
 
 
+@pytest.mark.slow
 def test_choosing_on_the_test_runs_flatters():
     """Pure noise has nothing to choose: the best of many candidates looks better than it is."""
     rng = np.random.default_rng(1)

@@ -143,7 +143,7 @@ def test_chain_of_100_equal_lags() -> None:
     assert np.isfinite(phase)
 
 
-@pytest.mark.parametrize("n", [3, 30, 400])
+@pytest.mark.parametrize("n", [3, 30, pytest.param(400, marks=pytest.mark.slow)])
 def test_lags_turn_far_below_their_own_frequency(n: int) -> None:
     # 0.999/(s + 1)^n and its mirror in frequency s^n/(s + 1)^n, whose crossing lies far above 1.
     found = margins(lag_chain(n, 0.999))

@@ -269,6 +269,7 @@ def test_an_error_is_kept_without_a_matrix_too(call, tmp_path):
     assert "1 cell, 10 s" in out
 
 
+@pytest.mark.slow
 def test_leaving_out_compares_at_one_time():
     """The whole scene would end at 14 s; without what moves the cells they never touch."""
     close = PAIR.replace("-6 um", "-4.02 um").replace('"6 um"', '"4.02 um"')
