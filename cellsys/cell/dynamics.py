@@ -18,6 +18,7 @@ import scipy.linalg as sla
 
 from cellsys.cell.charges import command_features
 from cellsys.cell.schedule import Clock
+from cellsys.errors import DimensionError
 
 # r(a) = [1; a - 1; (a - 1)^2] = _POWERS [1; a; a^2]
 _POWERS = np.array([[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [1.0, -2.0, 1.0]])
@@ -48,6 +49,15 @@ class ChargeBlock:
     B: np.ndarray
     gamma: float
     C: np.ndarray
+
+    def __post_init__(self) -> None:
+        H, m = self.A.shape[:2] if self.A.ndim == 3 else (-1, -1)
+        shapes = (self.A.shape == (H, m, m), self.B.shape[:2] == (H, m), self.C.shape[1:] == (m,))
+        if not all(shapes):
+            raise DimensionError(
+                f"a block must have A (H, m, m), B (H, m, inputs) and C (loads, m), got "
+                f"{self.A.shape}, {self.B.shape} and {self.C.shape}"
+            )
 
     @property
     def size(self) -> int:

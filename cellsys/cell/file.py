@@ -15,7 +15,14 @@ from cellsys.cell.representation import CHARGES, CellRepresentation, ChargeModes
 from cellsys.cell.schedule import Clock
 from cellsys.cell.shape import ShapeBasis
 from cellsys.errors import FileFormatError
-from cellsys.model.file import EQUIVARIANT, card_from, layout_from, layout_table
+from cellsys.model.file import (
+    EQUIVARIANT,
+    card_from,
+    check_real,
+    damage_of,
+    layout_from,
+    layout_table,
+)
 from cellsys.model.network_sensor import sensor_from
 from cellsys.store.archive import load_archive, save_archive
 
@@ -86,12 +93,15 @@ def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
     FileNotFoundError, FileFormatError
     """
     arrays, meta = load_archive(path, EQUIVARIANT, VERSION)
+    check_real(arrays, path)
     for name, value in arrays.items():
         if name.startswith("sensor "):
             continue  # its errors are NaN where they were not measured; it checks itself
-        if value.dtype.kind not in "fiu" or not np.all(np.isfinite(value)):
-            raise FileFormatError(f"{Path(path).name!r} is damaged: {name!r} is not finite numbers")
-    try:
+        if not np.all(np.abs(value) < 1e150):  # squares of larger ones are no doubles
+            raise FileFormatError(
+                f"{Path(path).name!r} is damaged: {name!r} holds NaN, inf or more than 1e150"
+            )
+    with damage_of(path):
         blocks = tuple(
             ChargeBlock(
                 arrays[f"A {q}"],
@@ -140,8 +150,6 @@ def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
             "refits": arrays.get("refits"),
             "left_out": str(meta.get("left_out", "run")),
         }
-    except (KeyError, TypeError, ValueError) as error:
-        raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
     return args, keywords
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -57,13 +59,8 @@ def load_model(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray] 
     FileNotFoundError, FileFormatError
     """
     arrays, meta = load_archive(path, _KIND, _VERSION)
-    for name, value in arrays.items():
-        if value.dtype.kind not in "biuf":
-            raise FileFormatError(
-                f"{Path(path).name!r} is damaged: array {name!r} holds {value.dtype}, not real "
-                "numbers"
-            )
-    try:
+    check_real(arrays, path)
+    with damage_of(path):
         values = {k: arrays[k] for k in ARRAYS if k in arrays} | {
             "dt": meta["dt"],
             "n_states": meta["n_states"],
@@ -75,10 +72,30 @@ def load_model(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray] 
             "notes": dict(meta["notes"]),
             "left_out": str(meta.get("left_out", "run")),
         }
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
     sensor = {k[7:]: v for k, v in arrays.items() if k.startswith("sensor ")}
     return values, sensor or None
+
+
+TEXTS = ("sensor inputs", "sensor tried_names")  # arrays of a file that hold no numbers
+
+
+def check_real(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
+    """Refuse a file with an array of anything but real numbers, or texts; FileFormatError."""
+    for name, value in arrays.items():
+        if value.dtype.kind not in ("U" if name in TEXTS else "biuf"):
+            raise FileFormatError(
+                f"{Path(path).name!r} is damaged: array {name!r} holds {value.dtype}, not real "
+                "numbers"
+            )
+
+
+@contextmanager
+def damage_of(path: str | Path) -> Iterator[None]:
+    """What a value of another type or size raises where a model is made of a file's entries."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
 
 
 def card_from(table: dict[str, Any] | None) -> Card | None:
