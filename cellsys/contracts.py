@@ -7,7 +7,7 @@ function it is held by `cellsys.arguments`; `needs` holds it anywhere else.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -26,6 +26,7 @@ __all__ = [
     "LinearSystem",
     "LoadPort",
     "MatrixField",
+    "MatrixKind",
     "ModalField",
     "NetworkReader",
     "PortedCell",
@@ -267,6 +268,58 @@ class Cells(Protocol):
 
     def simulate(self, t: np.ndarray, integrator: Any = None) -> Trajectory:
         """A run at the times t, s; an integrator is obeyed, or refused with the reason."""
+
+
+_Scene = TypeVar("_Scene")
+_Cell = TypeVar("_Cell")
+
+
+class MatrixKind(Protocol[_Scene, _Cell]):
+    """A matrix for a scene, such as cs.scene.MatrixScene() or cs.scene.ChainScene().
+
+    A frozen dataclass whose fields are its parameters; `cs.scene.Plane` has all of this for cells
+    with a membrane on a flat network but `network`. What is refused raises SceneError.
+    """
+
+    kind: str  # what a scene file calls it, in matrix.kind
+
+    def build(self, scene: _Scene) -> OdeSystem:
+        """The full-order system of the scene."""
+
+    def place_cells(self, scene: _Scene) -> None:
+        """Refuse cells of the scene that have no place here, each by its number."""
+
+    def start_elsewhere(self, scene: _Scene, rng: np.random.Generator) -> tuple[_Cell, ...]:
+        """The cells of the scene, starting from somewhere else that is drawn."""
+
+    def train(self, scene: _Scene) -> tuple[list[_Scene], list[_Scene]]:
+        """Scenes to train a reduced model on, and to test it on."""
+
+    def turn(
+        self, scene: _Scene, n: int, *, seed: int, loaded: bool, scatter: float, label: str
+    ) -> list[_Scene]:
+        """Scenes with turning commands; see `turning_scenes`."""
+
+    def draw(self, run: Trajectory, ax: Any = None, *, k: int = -1) -> Any:
+        """Draw the displacement of the matrix up to sample k of a run; returns the axes."""
+
+    def refuse(self, scene: _Scene, use: str = "run") -> None:
+        """Refuse what this matrix gives no meaning to, with the reason.
+
+        `use` is what the scene is wanted for: "run", "train", "step" (a step that keeps an
+        error) or "leave out" (runs without one effect).
+        """
+
+    def method(self, scene: _Scene) -> Integrator:
+        """The integrator that runs of the scene are made with."""
+
+    def memory(
+        self, scene: _Scene, *, on_disk: bool = True, run: bool = True
+    ) -> tuple[float, float, float]:
+        """Bytes that a process holds at its peak, asks for, and of the rows; see `memory_need`."""
+
+    def words(self, scene: _Scene) -> tuple[str, str]:
+        """The scene in words ("a chain of 40 nodes"), and what makes it smaller."""
 
 
 @runtime_checkable

@@ -12,6 +12,12 @@ from typing import Any, ClassVar
 from cellsys.shown import Shown
 
 
+def draw_by(figure: str, *drawn: Any, ax: Any = None, error: float | None = None) -> Any:
+    """Call the function of `cellsys.figures` of this name, with its `error` where there is one."""
+    draw = getattr(importlib.import_module("cellsys.figures"), figure)
+    return draw(*drawn, ax=ax) if error is None else draw(*drawn, ax=ax, error=error)
+
+
 class Drawable(Shown):
     """Mixin: `plot(ax=None)` calls the function of `cellsys.figures` named by `_figure`."""
 
@@ -19,5 +25,4 @@ class Drawable(Shown):
 
     def plot(self, ax: Any = None) -> Any:
         """Draw into `ax` (new axes when None) and return what was drawn; never calls ``show``."""
-        figures = importlib.import_module("cellsys.figures")
-        return getattr(figures, self._figure)(self, ax=ax)
+        return draw_by(self._figure, self, ax=ax)

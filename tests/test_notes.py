@@ -202,7 +202,7 @@ def built() -> dict[str, tuple[object, str]]:
         ("mechanics.geometry.disc", {"DENSITY": "1/um^3", "COORDINATION": "1", "RIM": "1",
                                      "SURFACE_DEPTH": "um"}),
         ("mechanics.geometry.membrane", {"NODES": "1"}),
-        ("scene.build", {"START_GAP": "um"}),
+        ("scene.plane", {"START_GAP": "um"}),
     ):  # fmt: skip
         module = import_module(f"cellsys.{where}")
         for name, unit in names.items():

@@ -22,14 +22,11 @@ from cellsys.integrate import (
 from cellsys.kinds import Count, Seed
 from cellsys.loop import ClosedLoop
 from cellsys.scene import Scene, build
-from cellsys.scene.chain import ChainScene
 
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 STEPS = (2.0, 1.0, 0.5, 0.25, 0.1)
 PROBE = 10.0  # s of a scene that are run to find its setting
 LONG = 100.0  # s of the held-out runs of a scene
-SCATTER = 2.0  # um that held-out starts lie beside the scene's place, along each axis
-KICK = 0.1  # um/s at the start of a crawler on a chain
 EULER = 0.002  # asked share of the motion down to which explicit Euler is a reference
 MOST = 500  # steps of RKC between two samples
 
@@ -66,7 +63,7 @@ def scene_problems(
 ) -> list[CostProblem]:
     """The scene from drawn headings, places and seeds, number `first` on; number 0 is its own.
 
-    On a disc every cell draws a heading and all of them together a shift of up to `SCATTER` um
+    On a disc every cell draws a heading and all of them together a shift of up to 2 um
     along each axis (their distances stay). On a chain every crawler draws the velocities it
     starts with.
     """
@@ -75,39 +72,12 @@ def scene_problems(
     for k in range(first + count):
         drawn = scene
         if k:
-            cells = _kicked(scene, rng) if _on_chain(scene) else _moved(scene, rng)
+            cells = scene.matrix_kind.start_elsewhere(scene, rng)
             drawn = dataclasses.replace(scene, cells=cells, seed=scene.seed + k)
         if k >= first:
             name = f"{scene.name}, start {k}"
             out.append(CostProblem(name, build(drawn), t, seed=drawn.seed))
     return out
-
-
-def _on_chain(scene: Scene) -> bool:
-    return isinstance(scene.matrix, ChainScene)
-
-
-def _moved(scene: Scene, rng: np.random.Generator) -> tuple:
-    shift = rng.uniform(-SCATTER, SCATTER, 2)
-    return tuple(
-        dataclasses.replace(
-            c,
-            polarity=float(rng.uniform(-np.pi, np.pi)),
-            position=tuple(float(x) for x in np.asarray(c.position) + shift),
-        )
-        for c in scene.cells
-    )
-
-
-def _kicked(scene: Scene, rng: np.random.Generator) -> tuple:
-    return tuple(
-        dataclasses.replace(
-            c,
-            lead_velocity=c.lead_velocity + float(rng.uniform(-KICK, KICK)),
-            trail_velocity=c.trail_velocity + float(rng.uniform(-KICK, KICK)),
-        )
-        for c in scene.cells
-    )
 
 
 @checked

@@ -74,11 +74,7 @@ def _within(scene: Path, error: float) -> Scene:
     from cellsys.scene import load_scene
 
     plan = load_scene(scene)
-    if plan.matrix is not None and plan.matrix.kind == "chain":
-        raise ParameterError(
-            "a scene on a chain is run by LSODA at a tolerance of 1e-10, far below any --error; "
-            "leave it out (`cellsys cost` shows what a looser one would save)"
-        )
+    plan.matrix_kind.refuse(plan, "step")
     found = budget(plan, error=error, setups=[by_step(LinearlyImplicit, STEPS)])
     if not found:
         raise ParameterError(str(found))

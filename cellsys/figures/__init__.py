@@ -16,6 +16,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
             "crawler_predictions",
             "crawler_run",
             "error_against_amplitude",
+            "row_displacement",
         ],
         "equivariant": ["bode_family", "equivariant_model", "forecast"],
         "hard": ["hard_sweep"],

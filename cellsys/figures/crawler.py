@@ -45,20 +45,30 @@ def chain_displacement(run: Any, ax: Any = None, *, error: float = 0.0) -> Any:
 
     One that nowhere exceeds its own `error` (um, `Trajectory.error_of`) is not drawn.
     """
-    if ax is None:
-        ax = plt.subplots(layout="constrained")[1]
-    ax.set(xlabel="time (s)", ylabel="node at rest (um)")
     if run.trajectory is None:
-        return ax
-    u, t = run.trajectory.block("chain.displacement"), run.trajectory.t
+        return _row_axes(ax)
+    u = run.trajectory.block("chain.displacement")
+    return row_displacement(run.trajectory.t, run.system.chain.rest, u, ax, error=error)
+
+
+def row_displacement(
+    t: np.ndarray, rest: np.ndarray, u: np.ndarray, ax: Any = None, *, error: float = 0.0
+) -> Any:
+    """Displacement (T, N) of nodes in a row at rest (N,) against time (T,), um; see above."""
+    ax = _row_axes(ax)
     every = -(-len(t) // 2000)  # more columns than pixels only take time
     top = float(np.abs(u).max())
     if not top > error:
         return not_drawn(ax, error)
-    drawn = ax.pcolormesh(
-        t[::every], run.system.chain.rest, u[::every].T, cmap="RdBu_r", vmin=-top, vmax=top
-    )
+    drawn = ax.pcolormesh(t[::every], rest, u[::every].T, cmap="RdBu_r", vmin=-top, vmax=top)
     ax.figure.colorbar(drawn, ax=ax, label="displacement (um)")
+    return ax
+
+
+def _row_axes(ax: Any) -> Any:
+    if ax is None:
+        ax = plt.subplots(layout="constrained")[1]
+    ax.set(xlabel="time (s)", ylabel="node at rest (um)")
     return ax
 
 

@@ -2,11 +2,13 @@
 
 from cellsys.scene.build import build
 from cellsys.scene.chain import ChainScene
+from cellsys.scene.disc import MatrixScene
 from cellsys.scene.ensemble import run_ensemble, run_scene
 from cellsys.scene.inherit import preset_names
 from cellsys.scene.load import load_scene
 from cellsys.scene.parse import scene_schema
-from cellsys.scene.parts import CellScene, MatrixScene, Training
+from cellsys.scene.parts import CellScene, Training
+from cellsys.scene.plane import Plane
 from cellsys.scene.scene import Scene
 from cellsys.scene.timing import StepCost, step_cost
 from cellsys.scene.training import training_scenes, turning_scenes
@@ -15,6 +17,7 @@ __all__ = [
     "CellScene",
     "ChainScene",
     "MatrixScene",
+    "Plane",
     "Scene",
     "StepCost",
     "Training",

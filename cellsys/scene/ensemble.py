@@ -17,11 +17,9 @@ from cellsys.errors import (
     ForeignRunWarning,
     MemoryBudgetError,
 )
-from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.simulate import first_samples, record_shapes, simulate, trajectory_of
 from cellsys.mechanics.contact import touching, until_contact
 from cellsys.scene.build import build
-from cellsys.scene.chain import METHOD, ChainScene
 from cellsys.scene.executors import executor_of, gather
 from cellsys.scene.load import scene_from_plain
 from cellsys.scene.memory import check_mapping, check_scene_memory, memory_need
@@ -94,7 +92,7 @@ def _simulated(
     with one_thread():
         return simulate(
             system,
-            METHOD if isinstance(scene.matrix, ChainScene) else LinearlyImplicit(step=scene.step),
+            scene.matrix_kind.method(scene),
             scene.times,
             seed=scene.seed,
             sink=sink,

@@ -7,19 +7,24 @@ from pathlib import Path
 from typing import Any
 
 from cellsys.arguments import checked
-from cellsys.errors import SceneError
+from cellsys.errors import ParameterError, SceneError
 from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.crawler import Crawler
 from cellsys.mechanics.effects.protocol import Effect
-from cellsys.scene.chain import ChainScene
+from cellsys.scene.forms import forms
 from cellsys.scene.inherit import find_scene, read_table
-from cellsys.scene.parts import CellScene, Gradient, Inclusion, MatrixScene, Training
+from cellsys.scene.parts import CellScene, Training
 from cellsys.scene.registry import Registry
 from cellsys.scene.scene import Scene, parse_scene
 
 
 @checked
-def load_scene(path: str | Path, *, effects: Iterable[type[Effect]] = ()) -> Scene:
+def load_scene(
+    path: str | Path,
+    *,
+    effects: Iterable[type[Effect]] = (),
+    matrices: Iterable[type] = (),
+) -> Scene:
     """Read a scene file (TOML), or a preset by its name.
 
     Parameters
@@ -28,6 +33,8 @@ def load_scene(path: str | Path, *, effects: Iterable[type[Effect]] = ()) -> Sce
         A file, or one of `cellsys.scene.preset_names()`; a file of that name comes first.
     effects : iterable of Effect classes
         Effects of your own that the scene may name.
+    matrices : iterable of classes
+        Kinds of matrix of your own (`cellsys.contracts.MatrixKind`) that it may name.
 
     Raises
     ------
@@ -39,17 +46,20 @@ def load_scene(path: str | Path, *, effects: Iterable[type[Effect]] = ()) -> Sce
     source = find_scene(path)
     table = read_table(source)
     try:
-        return parse_scene(table, effects=effects, folder=source.parent)
+        return parse_scene(table, effects=effects, matrices=matrices, folder=source.parent)
     except SceneError as error:
         raise SceneError(f"{source.name}: {error}") from error
 
 
 def scene_from_plain(
-    table: Mapping[str, Any], *, effects: Iterable[type[Effect]] = ()
+    table: Mapping[str, Any],
+    *,
+    effects: Iterable[type[Effect]] = (),
+    matrices: Iterable[type] = (),
 ) -> Scene:
     """A scene from what `Scene.canonical` gave (values in internal units).
 
-    `effects` are those of a script that the scene names.
+    `effects` and `matrices` are those of a script that the scene names.
     """
     registry = Registry(effects)
 
@@ -73,18 +83,17 @@ def scene_from_plain(
         return registry[given["effect"]](**fields)
 
     matrix = table["matrix"]
-    chain = matrix is not None and matrix["kind"] == "chain"
-    if chain:
-        matrix = ChainScene(**matrix)
-    elif matrix is not None:
-        inclusion, gradient = matrix["inclusion"], matrix["gradient"]
-        if inclusion is not None:
-            inclusion = Inclusion(**{**inclusion, "center": tuple(inclusion["center"])})
-        gradient = None if gradient is None else Gradient(**gradient)
-        matrix = MatrixScene(**{**matrix, "inclusion": inclusion, "gradient": gradient})
+    if matrix is not None:
+        known = forms(matrices, matrix["kind"])
+        if matrix["kind"] not in known:
+            raise ParameterError(
+                f"matrix.kind {matrix['kind']!r} is of a script or package that is not here; pass "
+                "its class in matrices="
+            )
+        matrix = known[matrix["kind"]].restore(matrix)
     cells = tuple(
         Crawler(**c)
-        if chain
+        if "lead_node" in c
         else CellScene(
             tuple(c["position"]),
             c["polarity"],

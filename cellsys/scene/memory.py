@@ -10,26 +10,20 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import numpy as np
-
 from cellsys.errors import MemoryBudgetError
 from cellsys.integrate.simulate import SEGMENT
-from cellsys.mechanics.geometry.disc import DENSITY
 from cellsys.mechanics.geometry.membrane import NODES
-from cellsys.scene.chain import ChainScene
-from cellsys.scene.parts import MatrixScene
-from cellsys.scene.scene import Scene
+from cellsys.scene.plan import ScenePlan
 from cellsys.store.memory import check_memory, mapping_room, resident, size_text
 
 PROGRAM = 215e6  # interpreter, libraries, and the machine code of the laws
-_ADDRESSES = 0.15e9  # that the libraries ask for and do not touch
-_CHAIN_NODE = 3e3  # states, W_eta while it is assembled, work arrays of the integrator
+ADDRESSES = 0.15e9  # that the libraries ask for and do not touch
 _NODE = 17e3  # fibres, assembly, factors and states of one node of a disc
 _NODE_ADDRESSES = 61e3  # the solver of the network's modulus asks for its fill before it is known
 _CELL = 0.45e6  # equations, tangents and states of one membrane
 _REACH = 720.0  # of a cell with adhesions, per node of the matrix: a nodal force of its own
 _ADHESIONS = ("focal_adhesion", "stochastic_adhesion")
-_MOST = 10**30  # no float holds every integer
+MOST_NODES = 10**30  # no float holds every integer
 
 
 class MemoryNeed(NamedTuple):
@@ -43,19 +37,8 @@ class MemoryNeed(NamedTuple):
     record: float
 
 
-def matrix_nodes(spec: MatrixScene) -> int:
-    """Number of matrix nodes a scene asks for."""
-    if spec.nodes is not None:
-        return spec.nodes
-    return round(DENSITY * np.pi * (0.5 * spec.diameter) ** 2 * spec.thickness)
-
-
-def memory_need(scene: Scene, *, on_disk: bool = True, run: bool = True) -> MemoryNeed:
+def memory_need(scene: ScenePlan, *, on_disk: bool = True, run: bool = True) -> MemoryNeed:
     """Peak of one process that runs a scene.
-
-    Every cell whose volume is kept adds one direction to each solve, dense over all nodes, and
-    every cell with adhesions a force on every node of the matrix: both grow with the square of
-    the scene's size.
 
     Parameters
     ----------
@@ -65,32 +48,49 @@ def memory_need(scene: Scene, *, on_disk: bool = True, run: bool = True) -> Memo
     run : bool
         With what the integrator of the scene takes; False for the system alone.
     """
-    record = _record(scene) if run else 0.0
-    kept = record * min(SEGMENT / len(scene.times), 1.0) if on_disk else record
-    if isinstance(scene.matrix, ChainScene):
-        nodes = float(min(scene.matrix.nodes, _MOST))
-        # LSODA finds a whole run at once, and asks for a dense Jacobian that it touches only
-        # where the chain is stiff.
-        held = PROGRAM + _CHAIN_NODE * nodes + record + kept
-        dense = 8.0 * nodes**2 if run else 0.0
-        return MemoryNeed(held, _ADDRESSES + held - PROGRAM + dense, record)
-    cells = float(len(scene.cells))
-    nodes = 0.0 if scene.matrix is None else float(min(matrix_nodes(scene.matrix), _MOST))
-    need = _NODE * nodes + _CELL * cells
+    return MemoryNeed(*scene.matrix_kind.memory(scene, on_disk=on_disk, run=run))
+
+
+def kept(scene: ScenePlan, record: float, on_disk: bool) -> float:
+    """Bytes of a record that lie in memory while the scene runs."""
+    return record * min(SEGMENT / len(scene.times), 1.0) if on_disk else record
+
+
+def plane_memory(scene: ScenePlan, nodes: int, *, on_disk: bool, run: bool) -> MemoryNeed:
+    """Need of cells with a membrane on a flat network of so many nodes.
+
+    Every cell whose volume is kept adds one direction to each solve, dense over all nodes, and
+    every cell with adhesions a force on every node of the matrix: both grow with the square of
+    the scene's size.
+    """
+    cells, count = float(len(scene.cells)), float(min(nodes, MOST_NODES))
+    record = _plane_record(scene, count) if run else 0.0
+    need = _NODE * count + _CELL * cells
     if "volume" in scene.effects:
-        need += 2.0 * 8.0 * cells * 3.0 * (NODES * cells + nodes)
+        need += 2.0 * 8.0 * cells * 3.0 * (NODES * cells + count)
     if any(name in scene.effects for name in _ADHESIONS):
-        need += _REACH * cells * nodes
-    asked = need + (_NODE_ADDRESSES - _NODE) * nodes
-    return MemoryNeed(PROGRAM + need + kept, _ADDRESSES + asked, record)
+        need += _REACH * cells * count
+    asked = need + (_NODE_ADDRESSES - _NODE) * count
+    return MemoryNeed(PROGRAM + need + kept(scene, record, on_disk), ADDRESSES + asked, record)
 
 
-def _record(scene: Scene) -> float:
+def plane_words(scene: ScenePlan, nodes: int, cure: str) -> tuple[str, str]:
+    """Such a scene in words, and what makes it smaller; `cure` makes the matrix smaller."""
+    cells = f"a scene of {len(scene.cells)} cells of {NODES} nodes"
+    fewer = "take fewer cells, or couple reduced ones (cs.couple)"
+    if nodes == 0:
+        return cells, fewer
+    matrix, smaller = f"a matrix of {nodes} nodes", "set fewer matrix.nodes"
+    if not scene.cells:
+        return matrix, f"{cure} or {smaller}"
+    if len(scene.cells) == 1:
+        return f"a cell on {matrix}", f"{cure} or {smaller}"
+    return f"{cells} on {matrix}", f"{smaller}, {fewer}"
+
+
+def _plane_record(scene: ScenePlan, nodes: float) -> float:
     """Bytes of states, forces, inputs and what the step leaves over, of all samples."""
-    if isinstance(scene.matrix, ChainScene):
-        return 8.0 * len(scene.times) * 4.0 * float(min(scene.matrix.nodes, _MOST))
     cells = float(len(scene.cells))
-    nodes = 0.0 if scene.matrix is None else float(min(matrix_nodes(scene.matrix), _MOST))
     laws = {
         place: sum(effect.acts_on == place for effect in scene.effects.values())
         for place in ("matrix", "cell")
@@ -105,7 +105,7 @@ def _record(scene: Scene) -> float:
     return 8.0 * len(scene.times) * (3.0 * states + forces)
 
 
-def check_scene_memory(scene: Scene, at_a_time: int = 1, *, run: bool = True) -> None:
+def check_scene_memory(scene: ScenePlan, at_a_time: int = 1, *, run: bool = True) -> None:
     """Refuse a scene that would not fit, or not as often as it is to be run at a time.
 
     `run` as for `memory_need`.
@@ -116,7 +116,7 @@ def check_scene_memory(scene: Scene, at_a_time: int = 1, *, run: bool = True) ->
         With what it needs, what is free and what to change.
     """
     need = memory_need(scene, run=run)
-    what, cure = _words(scene)
+    what, cure = scene.matrix_kind.words(scene)
     if at_a_time > 1:
         check_memory(
             at_a_time * need.resident,
@@ -130,7 +130,7 @@ def check_scene_memory(scene: Scene, at_a_time: int = 1, *, run: bool = True) ->
     check_memory(need.resident - held, f"{what} needs about", cure, addresses=need.addresses)
 
 
-def check_mapping(scenes: Iterable[Scene]) -> None:
+def check_mapping(scenes: Iterable[ScenePlan]) -> None:
     """Refuse runs that cannot all be mapped into this process when they are read back.
 
     Raises
@@ -145,19 +145,3 @@ def check_mapping(scenes: Iterable[Scene]) -> None:
             f"{size_text(left.bytes)} of addresses are free ({left.bound}); raise the limit, "
             "sample less often, or take fewer runs"
         )
-
-
-def _words(scene: Scene) -> tuple[str, str]:
-    """A scene in words, and what makes it smaller."""
-    if isinstance(scene.matrix, ChainScene):
-        return f"a chain of {scene.matrix.nodes} nodes", "make the chain shorter"
-    cells = f"a scene of {len(scene.cells)} cells of {NODES} nodes"
-    fewer = "take fewer cells, or couple reduced ones (cs.couple)"
-    if scene.matrix is None:
-        return cells, fewer
-    matrix, smaller = f"a matrix of {matrix_nodes(scene.matrix)} nodes", "set fewer matrix.nodes"
-    if not scene.cells:
-        return matrix, f"make the disc smaller or {smaller}"
-    if len(scene.cells) == 1:
-        return f"a cell on {matrix}", f"make the disc smaller or {smaller}"
-    return f"{cells} on {matrix}", f"{smaller}, {fewer}"

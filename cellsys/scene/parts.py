@@ -1,4 +1,4 @@
-"""What a scene is put together from: matrix, cells, the plan of its training."""
+"""What a scene is put together from: its cells, spots and slopes of stiffness, its training."""
 
 from __future__ import annotations
 
@@ -29,21 +29,6 @@ class Gradient:
 
     direction: float
     per_um: float
-
-
-@checked
-@dataclass(frozen=True)
-class MatrixScene:
-    """The matrix: a disc of fibres; lengths um, modulus pN/um^2 (Pa)."""
-
-    kind: str = "disc"
-    diameter: float = 60.0
-    thickness: float = 2.0
-    modulus: float = 5000.0
-    nodes: int | None = None
-    seed: int | None = None
-    inclusion: Inclusion | None = None
-    gradient: Gradient | None = None
 
 
 @checked

@@ -25,6 +25,7 @@ from cellsys.store.hashing import fingerprint
 
 GROUP = "cellsys.effects"
 _HOME = "cellsys.mechanics.effects."
+_MATRICES = "cellsys.scene."
 
 # In the order in which their elements are attached, which is the order of the auxiliaries.
 LISTED: dict[str, str] = {
@@ -149,13 +150,13 @@ def check_effect(effect: object, label: str) -> str:
 EFFECTS = Registry()
 
 
-def source_of(effect: type[Effect]) -> str:
-    """Where an effect comes from and a hash of that file; empty for the shipped ones.
+def source_of(effect: type) -> str:
+    """Where an effect or a matrix comes from and a hash of that file; empty for the shipped ones.
 
     It is part of a scene's fingerprint: a changed law of a user's effect makes a new run.
     """
     module = sys.modules.get(effect.__module__)
-    if effect.__module__.startswith(_HOME):
+    if effect.__module__.startswith((_HOME, _MATRICES)):
         return ""
     path = getattr(module, "__file__", None)
     code = Path(path).read_bytes() if path is not None and Path(path).is_file() else b""

@@ -12,30 +12,21 @@ from typing import Any
 import numpy as np
 
 from cellsys.arguments import checked
+from cellsys.contracts import MatrixKind
 from cellsys.errors import CellsysError, SceneError
 from cellsys.kinds import Seed
 from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.crawler import Crawler
 from cellsys.mechanics.effects.protocol import Effect
-from cellsys.scene.chain import ChainScene, check_chain
-from cellsys.scene.compatibility import check_effects
 from cellsys.scene.parse import scene_fields
-from cellsys.scene.parts import CellScene, MatrixScene, Training
+from cellsys.scene.parts import CellScene, Training
+from cellsys.scene.plan import Kind
+from cellsys.scene.plane import NO_MATRIX
 from cellsys.scene.registry import source_of
 from cellsys.scene.sampling import intervals
 from cellsys.store.hashing import fingerprint
 
 _MOST_SAMPLES = 1e7  # their times alone are 80 MB, their states of any scene beyond every memory
-_MOST_STEPS = 1e9  # at 1 ms each, which only the smallest scenes need, twelve days
-# From a speck to a metre, from a liquid to diamond: beyond, arrays of bins and stiffnesses
-# overflow.
-_MATRIX = {
-    "diameter": (0.01, 1e6, "um"),
-    "thickness": (1e-3, 1e4, "um"),
-    "modulus": (1e-9, 1e12, "pN/um^2"),
-}
-_RADIUS = (0.01, 1e3)
-_SPARSEST = 100.0  # um between neighbouring nodes: far apart, no cell touches any
 
 
 @checked
@@ -43,7 +34,8 @@ _SPARSEST = 100.0  # um between neighbouring nodes: far apart, no cell touches a
 class Scene:
     """A scene: matrix, cells, the effects that act, commands, and how long.
 
-    On a chain (`ChainScene`) the cells are `Crawler` objects, `effects` and `commands` are empty,
+    `matrix` is a `MatrixScene` (disc), a `ChainScene` or a kind of your own (`MatrixKind`). On a
+    chain the cells are `Crawler` objects, `effects` and `commands` are empty,
     and `training`, `seed` and `step` are not used.
 
     Built by `load_scene` or `Scene.parse`; change it with `dataclasses.replace`. Times in s,
@@ -63,7 +55,7 @@ class Scene:
     sample: float
     effects: Mapping[str, Effect]
     cells: tuple[CellScene, ...] | tuple[Crawler, ...] = ()
-    matrix: MatrixScene | ChainScene | None = None
+    matrix: MatrixKind | None = None
     commands: Commands = field(default_factory=Commands)
     training: Training = field(default_factory=Training)
     seed: Seed = 0
@@ -85,12 +77,18 @@ class Scene:
         return textwrap.fill(text, 100, subsequent_indent="    ")
 
     @staticmethod
-    def parse(table: Mapping[str, Any], *, effects: Iterable[type[Effect]] = ()) -> Scene:
+    def parse(
+        table: Mapping[str, Any],
+        *,
+        effects: Iterable[type[Effect]] = (),
+        matrices: Iterable[type] = (),
+    ) -> Scene:
         """A scene from a mapping shaped like a scene file (quantities as strings with units).
 
-        `effects` are classes of your own that the table may name beside the shipped ones.
+        `effects` and `matrices` are classes of your own that the table may name beside the
+        shipped ones.
         """
-        return parse_scene(table, effects=effects)
+        return parse_scene(table, effects=effects, matrices=matrices)
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.step) and self.step > 0):
@@ -108,11 +106,6 @@ class Scene:
                 f"until = {self.until!r} needs at least two cells, got {len(self.cells)}; add "
                 "[[cells]] or leave until out"
             )
-        if self.until is not None and isinstance(self.matrix, ChainScene):
-            raise SceneError(
-                f"until = {self.until!r} is for cells with a membrane; crawlers on a chain stall "
-                "where they meet: leave it out"
-            )
         plan = self.training
         runs = float(min(plan.runs + plan.held_out, 10**15))  # no float holds every integer
         samples = runs * plan.duration / plan.sample
@@ -122,82 +115,13 @@ class Scene:
                 f"samples, more than {_MOST_SAMPLES:.0e}; lower training.runs, shorten training "
                 "or sample less often"
             )
-        if isinstance(self.matrix, ChainScene):
-            check_chain(self.matrix, self.cells, self.effects, self.commands)
-            return
-        for name, span in (("duration", self.duration), ("training.duration", plan.duration)):
-            if span / self.step > _MOST_STEPS:
-                raise SceneError(
-                    f"{name} / step = {span / self.step:.3g} steps, more than {_MOST_STEPS:.0e}, "
-                    "which take months; shorten the run or lengthen the step"
-                )
-        if any(isinstance(cell, Crawler) for cell in self.cells):
-            raise SceneError("a Crawler lives on a chain; its matrix must be a ChainScene")
-        if not self.cells and self.matrix is None:
-            raise SceneError("a scene needs [[cells]] or a [matrix]")
-        if "drag" not in self.effects:
-            raise SceneError(
-                "effects.drag is missing: without drag nothing has a rate; add drag = {}"
-            )
-        self._check_effects()
-        self._check_places()
+        self.matrix_kind.refuse(self)
+        self.matrix_kind.place_cells(self)
 
-    def _check_effects(self) -> None:
-        check_effects(self.effects, [c.effects for c in self.cells], self.matrix is not None)
-        if (
-            self.commands.heading or self.commands.amplitude
-        ) and "lamellipodium" not in self.effects:
-            raise SceneError(
-                "commands steer the lamellipodium, and effects.lamellipodium is missing"
-            )
-
-    def _check_places(self) -> None:
-        for name, (least, most, unit) in _MATRIX.items() if self.matrix is not None else ():
-            if not least <= getattr(self.matrix, name) <= most:
-                raise SceneError(
-                    f"matrix.{name} must be > 0, in [{least:g}, {most:g}] {unit}, "
-                    f"got {getattr(self.matrix, name)!r}"
-                )
-        nodes = None if self.matrix is None else self.matrix.nodes
-        if nodes is not None and nodes > 0 and nodes < (self.matrix.diameter / _SPARSEST) ** 2:
-            raise SceneError(
-                f"matrix.nodes = {nodes} leaves {self.matrix.diameter / np.sqrt(nodes):.3g} um "
-                f"between nodes, more than {_SPARSEST:g} um; ask for more or leave it out"
-            )
-        seed = None if self.matrix is None else self.matrix.seed
-        if seed is not None and seed < 0:
-            raise SceneError(f"matrix.seed must be >= 0, got {seed}")
-        for i, a in enumerate(self.cells):
-            if not _RADIUS[0] <= a.radius <= _RADIUS[1]:
-                raise SceneError(
-                    f"cells[{i}].radius must be > 0 um, in [{_RADIUS[0]:g}, {_RADIUS[1]:g}] um, "
-                    f"got {a.radius!r}"
-                )
-            if self.matrix is not None:
-                reach = float(np.hypot(*a.position)) + a.radius
-                if reach > 0.5 * self.matrix.diameter:
-                    raise SceneError(
-                        f"cells[{i}] reaches {reach:.3g} um from the centre, outside the disc of "
-                        f"radius {0.5 * self.matrix.diameter:.3g} um; move it or enlarge the matrix"
-                    )
-        self._check_overlaps()
-
-    def _check_overlaps(self) -> None:
-        """Every cell against those in the squares around its own, as wide as two radii."""
-        wide = 2.0 * max((c.radius for c in self.cells), default=1.0)
-        squares: dict[tuple[float, float], list[int]] = {}
-        for i, a in enumerate(self.cells):
-            x, y = (v // wide for v in a.position)
-            near = ((x + p, y + q) for p in (-1, 0, 1) for q in (-1, 0, 1))
-            for j in sorted(j for square in near for j in squares.get(square, ())):
-                b = self.cells[j]
-                gap = float(np.hypot(a.position[0] - b.position[0], a.position[1] - b.position[1]))
-                if gap < a.radius + b.radius:
-                    raise SceneError(
-                        f"cells[{j}] and cells[{i}] overlap: centres {gap:.3g} um apart, radii "
-                        f"{b.radius:g} + {a.radius:g} um; move them apart"
-                    )
-            squares.setdefault((x, y), []).append(i)
+    @property
+    def matrix_kind(self) -> Kind:
+        """The matrix, or what stands for none."""
+        return NO_MATRIX if self.matrix is None else self.matrix
 
     @property
     def times(self) -> np.ndarray:
@@ -209,6 +133,10 @@ class Scene:
         table = {f.name: _plain(getattr(self, f.name)) for f in dataclasses.fields(self)}
         if self.until is None:
             table.pop("until")
+        if self.matrix is not None:
+            origin = source_of(type(self.matrix))
+            own = {"kind": self.matrix.kind, "origin": origin} if origin else {}
+            table["matrix"] = {**table["matrix"], **own}
         return table
 
     def fingerprint(self) -> str:
@@ -251,13 +179,14 @@ def parse_scene(
     table: Mapping[str, Any],
     *,
     effects: Iterable[type[Effect]] = (),
+    matrices: Iterable[type] = (),
     folder: Path | None = None,
 ) -> Scene:
     """A `Scene` from a mapping shaped like a scene file; see `load_scene` for the errors.
 
     `folder` is where a file named by ``extends`` is looked for; default the working directory.
     """
-    fields = scene_fields(table, effects=effects, folder=folder)
+    fields = scene_fields(table, effects=effects, matrices=matrices, folder=folder)
     try:
         return Scene(**fields)
     except SceneError:

@@ -72,7 +72,8 @@ class CommandsTable(TomlTable):
 
 
 @lru_cache(maxsize=256)
-def _effect_table(effect: type[Effect]) -> type[BaseModel]:
+def parameter_table(effect: type) -> type[BaseModel]:
+    """Table of the fields that `parameter` made, of an effect or of a matrix of one's own."""
     fields: dict[str, Any] = {}
     for item in dataclasses.fields(effect):
         if isinstance(item.default, History):
@@ -87,7 +88,7 @@ def _effect_table(effect: type[Effect]) -> type[BaseModel]:
             Field(default=None, description=f"{meta['about']} [{meta['unit']}] ({meta['source']})"),
         )
     table = create_model(f"{effect.__name__}Table", __base__=TomlTable, **fields)
-    table.__doc__ = (effect.__doc__ or effect.name).strip().split("\n")[0]
+    table.__doc__ = (effect.__doc__ or effect.__name__).strip().split("\n")[0]
     if any(item.name == "patches" for item in dataclasses.fields(effect)):
         # Further ones of the same kind, which act together with the first.
         table = create_model(f"{effect.__name__}sTable", __base__=table, patches=(list[table], []))
@@ -100,7 +101,7 @@ def effects_table(names: Iterable[str], chosen: Iterable[type[Effect]]) -> type[
     The tables of effects that a scene does not name are not made, nor their files imported.
     """
     fields: dict[str, Any] = {name: (Any, None) for name in names}
-    fields |= {effect.name: (_effect_table(effect) | None, None) for effect in chosen}
+    fields |= {effect.name: (parameter_table(effect) | None, None) for effect in chosen}
     return create_model("EffectsTable", __base__=TomlTable, **fields)
 
 
@@ -115,16 +116,10 @@ class _GradientTable(TomlTable):
     per_um: _Number
 
 
-def _known_kind(value: Any) -> Any:
-    if value != "disc":
-        raise ValueError("must be 'disc' or 'chain'")
-    return value
-
-
 class DiscTable(TomlTable):
     """[matrix] of kind disc."""
 
-    kind: Annotated[Literal["disc"], BeforeValidator(_known_kind)] = "disc"
+    kind: Literal["disc"] = "disc"
     diameter: _Length = 60.0
     thickness: _Length = 2.0
     modulus: _Modulus = 5000.0

@@ -7,27 +7,9 @@ how a cell answers to a matrix that moves by itself.
 
 from __future__ import annotations
 
-import dataclasses
-
-import numpy as np
-
 from cellsys.arguments import checked
-from cellsys.errors import ParameterError, SceneError
 from cellsys.kinds import Seed, Whole
-from cellsys.mechanics.commands import Commands, History
-from cellsys.mechanics.effects.protocol import Effect
-from cellsys.scene.chain import ChainScene
-from cellsys.scene.parts import Training
-from cellsys.scene.registry import EFFECTS
 from cellsys.scene.scene import Scene
-
-TURN = np.radians(80.0)  # greatest change of heading at once, rad
-RAMP = 60.0  # s a change of heading or amplitude takes, of the order of 1/kappa
-HOLD = (250.0, 500.0)  # s between changes
-AMPLITUDE = (0.4, 1.6)
-LOAD = (4000.0, 12000.0)  # pN, total force of one patch at its greatest
-PATCHES = 4
-PERIOD = (200.0, 600.0)  # s of a load
 
 
 @checked
@@ -44,28 +26,7 @@ def training_scenes(scene: Scene) -> tuple[list[Scene], list[Scene]]:
     SceneError
         A scene on a chain: crawlers take no commands.
     """
-    refuse_chain(scene)
-    plan = scene.training
-    if plan.commands == "turning":
-        seed, spread = scene.seed, plan.scatter
-        plain = turning_scenes(scene, plan.runs - plan.loaded, seed=seed, scatter=spread)
-        loaded = turning_scenes(scene, plan.loaded, seed=seed, loaded=True, scatter=spread)
-        held = turning_scenes(
-            scene, plan.held_out, seed=seed + 1, scatter=spread, label="held out"
-        )
-        return plain + loaded, held
-    spacing = 2.0 * np.pi / plan.runs
-    trained = [spacing * k for k in range(plan.runs)]
-    between = [
-        spacing * ((k * plan.runs) // max(plan.held_out, 1) + 0.5) for k in range(plan.held_out)
-    ]
-
-    def at(angle: float, label: str) -> Scene:
-        commands = Commands(History((0.0,), (angle,)), scene.commands.amplitude)
-        name = f"{scene.name}: {label} {np.degrees(angle):.1f} deg"
-        return commanded(scene, commands, angle, name)
-
-    return [at(a, "training") for a in trained], [at(a, "held out") for a in between]
+    return scene.matrix_kind.train(scene)
 
 
 @checked
@@ -84,93 +45,12 @@ def turning_scenes(
     another value between 0.4 and 1.6, within 60 s. With `loaded`, four patches of 5 um radius pull
     on the matrix, up to 4 to 12 nN each, to and fro over 200 to 600 s. Every cell of the scene
     gets its own commands, and a place up to `scatter` um away along each axis.
+
+    Raises
+    ------
+    SceneError
+        A scene on a chain: crawlers take no commands.
     """
-    refuse_chain(scene)
-    if not 0.0 <= scatter < np.inf:
-        raise ParameterError(f"scatter must be finite and >= 0 um, got {scatter!r}")
-    scenes = []
-    for k, root in enumerate(np.random.SeedSequence([seed, int(loaded)]).spawn(n)):
-        rng = np.random.default_rng(root)
-        cells = []
-        for cell in scene.cells:
-            commands = _turning(scene.training.duration, rng)
-            angle = commands.heading.values[0]
-            place = tuple(float(x) for x in cell.position + rng.uniform(-scatter, scatter, 2))
-            cells.append(
-                dataclasses.replace(cell, position=place, polarity=angle, commands=commands)
-            )
-        name = f"{scene.name}: {label} {k + 1}{' loaded' if loaded else ''}"
-        drawn = commanded(scene, Commands(), None, name)
-        effects = dict(drawn.effects)
-        if loaded:
-            effects["external_load"] = _loads(scene, rng)
-        scenes.append(dataclasses.replace(drawn, cells=tuple(cells), effects=effects))
-    return scenes
-
-
-def commanded(scene: Scene, commands: Commands, angle: float | None, name: str) -> Scene:
-    """The scene open loop under `commands`, with the duration and sampling of its training."""
-    plan: Training = scene.training
-    cells = scene.cells
-    if angle is not None:
-        cells = tuple(dataclasses.replace(c, polarity=angle, commands=None) for c in cells)
-    return dataclasses.replace(
-        scene,
-        name=name,
-        duration=plan.duration,
-        sample=plan.sample,
-        effects={n: e for n, e in scene.effects.items() if n != "polarity"},
-        cells=cells,
-        commands=commands,
+    return scene.matrix_kind.turn(
+        scene, n, seed=seed, loaded=loaded, scatter=scatter, label=label
     )
-
-
-def refuse_chain(scene: Scene) -> None:
-    """SceneError for a scene whose cells take no commands."""
-    if isinstance(scene.matrix, ChainScene):
-        raise SceneError(
-            "a scene with matrix.kind = 'chain' has no headings to train on; vary its cells with "
-            "dataclasses.replace and use run_ensemble"
-        )
-
-
-def _turning(duration: float, rng: np.random.Generator) -> Commands:
-    start = rng.uniform(*HOLD)
-    changes = [start]
-    while changes[-1] < duration:
-        changes.append(changes[-1] + rng.uniform(*HOLD))
-    heading, amplitude = [rng.uniform(0.0, 2.0 * np.pi)], [rng.uniform(*AMPLITUDE)]
-    for _ in changes[:-1]:
-        heading.append(heading[-1] + rng.uniform(-TURN, TURN))
-        amplitude.append(rng.uniform(*AMPLITUDE))
-    return Commands(_steps(changes[:-1], heading), _steps(changes[:-1], amplitude))
-
-
-def _steps(changes: list[float], values: list[float]) -> History:
-    """Constant values joined by ramps that begin at `changes`."""
-    times, knots = [0.0], [values[0]]
-    for t, before, after in zip(changes, values, values[1:], strict=False):
-        times += [t, t + RAMP]
-        knots += [before, after]
-    return History(tuple(times), tuple(knots))
-
-
-def _loads(scene: Scene, rng: np.random.Generator) -> Effect:
-    kind, reach = EFFECTS["external_load"], 0.65 * 0.5 * scene.matrix.diameter
-    patches = []
-    for _ in range(PATCHES):
-        radius, angle = reach * np.sqrt(rng.uniform()), rng.uniform(0.0, 2.0 * np.pi)
-        period, phase = rng.uniform(*PERIOD), rng.uniform(0.0, 2.0 * np.pi)
-        # Knots every twelfth of a period; it starts at rest like the cell does.
-        times = np.arange(0.0, scene.training.duration + period / 12, period / 12)
-        wave = np.sin(2.0 * np.pi * times / period + phase) * np.minimum(1.0, times / 100.0)
-        patches.append(
-            kind(
-                force=rng.uniform(*LOAD),
-                direction=rng.uniform(0.0, 2.0 * np.pi),
-                x=radius * np.cos(angle),
-                y=radius * np.sin(angle),
-                history=History(tuple(times), tuple(wave)),
-            )
-        )
-    return dataclasses.replace(patches[0], patches=tuple(patches[1:]))

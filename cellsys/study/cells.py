@@ -213,7 +213,9 @@ def _figures(result: CellsStudy, system: Any, folder: Path) -> dict[str, Path]:
             paths(run, ax)
             drawn["centres"] = save_png(figure, folder / "centres.png")
     if disc is not None:
-        drawn["displacement_field"] = draw_displacement(run, folder / "displacement_field.png")
+        drawn["displacement_field"] = draw_displacement(
+            run, result.scene.matrix, folder / "displacement_field.png"
+        )
     if result.pairs:
         figure, axes = sheet((10, 4.4), 1, 2)
         pair_gaps(result.pairs, axes)

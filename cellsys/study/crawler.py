@@ -6,13 +6,12 @@ import html
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cellsys.figures import chain_displacement, crawler_run, save_png, sheet
+from cellsys.figures import crawler_run, save_png, sheet
 from cellsys.mechanics.crawler_run import CrawlRun, judge
 from cellsys.scene import Scene, build, run_scene
 from cellsys.shown import Shown
@@ -84,11 +83,10 @@ def study_crawler(
     }
     save_run(run, folder / "run.npz", {"switch_times": crawl.switches()})
     say("report", 0.2)
-    error = run.error_of("chain.displacement")
     figures = {}
     for name, draw in (
         ("crawler_run", crawler_run),
-        ("chain_displacement", partial(chain_displacement, error=error)),
+        ("chain_displacement", lambda _, ax: scene.matrix.draw(run, ax)),
     ):
         figure, ax = sheet((9, 5))
         draw(crawl, ax)

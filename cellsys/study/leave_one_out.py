@@ -13,7 +13,6 @@ from cellsys.accuracy.measures import motion
 from cellsys.errors import IntegrationError, SceneError
 from cellsys.observe.read_outs import read_out_errors, read_outs
 from cellsys.scene.build import build
-from cellsys.scene.chain import ChainScene
 from cellsys.scene.ensemble import run_scene
 from cellsys.scene.scene import Scene
 from cellsys.scene.timing import time_shares
@@ -91,8 +90,7 @@ def leave_one_out(
     SceneError
         For a scene on a chain, or a duration that the scene's sample does not divide.
     """
-    if isinstance(scene.matrix, ChainScene):
-        raise SceneError("a scene with matrix.kind = 'chain' has no effects to leave out")
+    scene.matrix_kind.refuse(scene, "leave out")
     scene = dataclasses.replace(scene, until=None)  # all are compared at the same time
     if duration is not None:
         scene = dataclasses.replace(scene, duration=duration)

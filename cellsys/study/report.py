@@ -42,7 +42,9 @@ def write_figures(result: Any, system: SpreadingSystem, folder: Path) -> dict[st
         cell_from_side(x[k], mesh.triangles, axes[1, column])
     drawn["cell_and_matrix"] = save_png(figure, folder / "cell_and_matrix.png")
 
-    drawn["displacement_field"] = draw_displacement(run, folder / "displacement_field.png")
+    drawn["displacement_field"] = draw_displacement(
+        run, result.scene.matrix, folder / "displacement_field.png"
+    )
 
     small = result.model
     large = max((m for n, m in result.models if n == "PCR"), default=small.order)

@@ -16,13 +16,14 @@ from cellsys.contracts import LinearModel
 from cellsys.errors import CellsysError, ParameterError, RankError
 from cellsys.integrate import CVODES
 from cellsys.loop import ClosedLoop, Linearisation, PolarityLaw, closed_loop
+from cellsys.mechanics.crawler import Crawler
 from cellsys.model import LatentModel
 from cellsys.observe import heading_error_deg, summary_of_run
 from cellsys.reduction import PCR, LeastSquares
 from cellsys.reduction.basis import check_order
 from cellsys.response import Margins, RootSet, margins, stability
 from cellsys.samples import Snapshots, snapshots
-from cellsys.scene import ChainScene, Scene, build, load_scene, run_ensemble, training_scenes
+from cellsys.scene import Scene, build, load_scene, run_ensemble, training_scenes
 from cellsys.shown import Shown
 from cellsys.store import discard_partial, write_json
 from cellsys.study.coordinates import learn_coordinates
@@ -152,14 +153,15 @@ def study(
         scene = load_scene(scene)
     if isinstance(model, (str, Path)):
         model = LatentModel.load(model)
-    on_disc = scene.matrix is not None and not isinstance(scene.matrix, ChainScene)
-    steered = on_disc and len(scene.cells) == 1 and "lamellipodium" in scene.effects
-    if model is not None and (steered or isinstance(scene.matrix, ChainScene)):
+    crawling = any(isinstance(cell, Crawler) for cell in scene.cells)
+    on_matrix = scene.matrix is not None and not crawling
+    steered = on_matrix and len(scene.cells) == 1 and "lamellipodium" in scene.effects
+    if model is not None and (steered or crawling):
         raise ParameterError(
             "a model is run beside a disc scene of several cells; this one learns its own or has "
             "no disc: leave model out"
         )
-    if isinstance(scene.matrix, ChainScene):
+    if crawling:
         return study_crawler(scene, out, progress)
     folder = Path(out)
     _check(scene, order if steered else None, folder)

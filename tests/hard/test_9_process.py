@@ -24,7 +24,6 @@ from cellsys.errors import (
 from cellsys.integrate import LinearlyImplicit, simulate
 from cellsys.model import LatentModel
 from cellsys.scene import Scene, build, load_scene, run_scene, training_scenes
-from cellsys.scene.build import matrix_nodes
 from cellsys.scene.chain import METHOD, ChainScene
 from cellsys.store import RunReader, RunWriter, discard_partial, load_archive
 from tests import naive
@@ -74,7 +73,7 @@ def a_changed_scene_file_is_read_or_refused(base, seed, changes):
                     simulate(build(scene), METHOD, [0.0, min(0.05, scene.sample)])
                 return
             training_scenes(scene)
-            if scene.matrix is not None and matrix_nodes(scene.matrix) > 1000:
+            if scene.matrix is not None and scene.matrix.node_count > 1000:
                 return
             if len(scene.cells) <= 3:
                 system, h = build(scene), scene.step

@@ -256,7 +256,7 @@ def test_a_method_that_gives_up_is_one_error_without_a_warning():
 
 def test_a_study_that_fails_writes_nothing(tmp_path, monkeypatch):
     hasty = LSODA(rtol=1e-10, atol=1e-12, max_steps=5)
-    monkeypatch.setattr("cellsys.scene.ensemble.METHOD", hasty)
+    monkeypatch.setattr("cellsys.scene.chain.METHOD", hasty)
     with pytest.raises(IntegrationError, match="spent its 5 steps"):
         cs.study(short(), out=tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -15,7 +15,7 @@ import cellsys
 from cellsys.errors import MemoryBudgetError
 from cellsys.scene import Scene, build, load_scene, run_ensemble, run_scene
 from cellsys.scene import memory as room
-from cellsys.scene.memory import matrix_nodes, memory_need
+from cellsys.scene.memory import memory_need
 from cellsys.store import memory as limits
 from cellsys.store.memory import Room
 from tests.mechanics.small_scenes import tiny
@@ -159,4 +159,4 @@ def test_a_long_chain_is_refused_for_the_integrator_alone():
 
 def test_nodes_of_a_disc_without_a_number():
     scene = load_scene(ROOT / "examples" / "spreading.toml")
-    assert matrix_nodes(scene.matrix) == len(build(scene).matrix.position)
+    assert scene.matrix.node_count == len(build(scene).matrix.position)

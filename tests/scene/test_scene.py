@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from cellsys.errors import CellsysError, MemoryBudgetError, SceneError
 from cellsys.mechanics.effects.protocol import Element
 from cellsys.scene import Scene, build, load_scene, run_scene, scene_schema, training_scenes
-from cellsys.scene.build import matrix_nodes
 from cellsys.scene.load import scene_from_plain
 from cellsys.scene.registry import EFFECTS
 from tests.mechanics.scenes import TABLE, table
@@ -144,7 +143,7 @@ def test_a_scene_that_does_not_fit_into_memory_is_refused_with_the_estimate(node
     with pytest.raises(MemoryBudgetError, match=r"nodes needs about .* GB .* free"):
         build(scene)
     wide = dataclasses.replace(scene.matrix, diameter=1e6, nodes=None)
-    assert matrix_nodes(wide) > 10**9
+    assert wide.node_count > 10**9
 
 
 def test_a_record_that_does_not_fit_is_refused_before_the_run_starts(tmp_path):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import cellsys as cs
+from cellsys.scene.headings import AMPLITUDE, TURN
 from cellsys.scene.load import scene_from_plain
-from cellsys.scene.training import AMPLITUDE, TURN
 
 
 def table(**training):

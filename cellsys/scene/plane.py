@@ -1,0 +1,192 @@
+"""`Plane`: cells with a membrane on a flat network of fibres, or on none."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, ClassVar
+
+import numpy as np
+
+from cellsys.drawable import draw_by
+from cellsys.errors import SceneError
+from cellsys.integrate.linearly_implicit import LinearlyImplicit
+from cellsys.mechanics.crawler import Crawler
+from cellsys.mechanics.effects.protocol import CellBody, Effect, check_parameters
+from cellsys.mechanics.geometry.disc import Disc
+from cellsys.mechanics.geometry.membrane import sphere
+from cellsys.mechanics.spreading import CellSpec, SpreadingSystem, build_spreading
+from cellsys.scene.compatibility import check_effects
+from cellsys.scene.headings import S, heading_scenes, turning
+from cellsys.scene.memory import MemoryNeed, plane_memory, plane_words
+from cellsys.scene.parts import CellScene
+from cellsys.scene.plan import ScenePlan
+from cellsys.scene.registry import EFFECTS
+from cellsys.trajectory import Trajectory
+
+START_GAP = 0.05  # um between the lowest point of a cell and the top of the matrix
+SCATTER = 2.0  # um that other starts lie beside the scene's place, along each axis
+_MOST_STEPS = 1e9  # at 1 ms each, which only the smallest scenes need, twelve days
+_RADIUS = (0.01, 1e3)
+
+
+class Plane:
+    """What every matrix under cells with a membrane has, a `MatrixKind` but for its network.
+
+    A matrix of your own is a frozen dataclass of parameters (`cellsys.mechanics.effects.parameter`)
+    that derives from this one, with a `kind` of its own, `network`, `reach`, `node_count`, and
+    `outside` where cells may not stand everywhere.
+    """
+
+    kind: ClassVar[str] = "none"
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+
+    @property
+    def node_count(self) -> int:
+        """Number of nodes of the network."""
+        return 0
+
+    @property
+    def reach(self) -> float:
+        """Radius of the largest circle about the middle that lies in the network, um."""
+        return 0.0
+
+    def network(self, seed: int) -> Disc | None:
+        """Nodes and fibres; `seed` is that of the scene.
+
+        `Disc` holds any flat network; beyond its `radius` from the middle nothing adheres.
+        """
+        return None
+
+    def outside(self, cell: CellScene) -> str | None:
+        """Why a cell does not lie on the network, ending in the cure; None where it does."""
+        return None
+
+    def build(self, scene: ScenePlan) -> SpreadingSystem:
+        """The full-order system: only the effects that the scene names."""
+        matrix = self.network(scene.seed)
+        effects = {n: e for n, e in _ordered(scene.effects) if e.acts_on != "cell"}
+        cells = []
+        for k, cell in enumerate(scene.cells, start=1):
+            height = cell.radius + START_GAP
+            body = CellBody(
+                f"cell{k}",
+                sphere(cell.radius, (*cell.position, height)),
+                np.array([np.cos(cell.polarity), np.sin(cell.polarity), 0.0]),
+            )
+            every = _ordered({**scene.effects, **cell.effects})
+            own = {n: e for n, e in every if e.acts_on == "cell"}
+            cells.append(CellSpec(body, own, cell.commands or scene.commands))
+        return build_spreading(tuple(cells), matrix, effects, scene.effects["drag"])
+
+    def place_cells(self, scene: ScenePlan) -> None:
+        """Refuse cells that are too small or large, reach outside, or overlap."""
+        for i, cell in enumerate(scene.cells):
+            if not _RADIUS[0] <= cell.radius <= _RADIUS[1]:
+                raise SceneError(
+                    f"cells[{i}].radius must be > 0 um, in [{_RADIUS[0]:g}, {_RADIUS[1]:g}] um, "
+                    f"got {cell.radius!r}"
+                )
+            why = self.outside(cell)
+            if why is not None:
+                raise SceneError(f"cells[{i}] {why}")
+        _check_overlaps(scene.cells)
+
+    def start_elsewhere(self, scene: ScenePlan, rng: np.random.Generator) -> tuple[CellScene, ...]:
+        """Every cell with a drawn heading, all of them together up to `SCATTER` um away."""
+        shift = rng.uniform(-SCATTER, SCATTER, 2)
+        return tuple(
+            dataclasses.replace(
+                c,
+                polarity=float(rng.uniform(-np.pi, np.pi)),
+                position=tuple(float(x) for x in np.asarray(c.position) + shift),
+            )
+            for c in scene.cells
+        )
+
+    def train(self, scene: S) -> tuple[list[S], list[S]]:
+        """Scenes of commanded headings; see `training_scenes`."""
+        return heading_scenes(scene, self.reach)
+
+    def turn(
+        self, scene: S, n: int, *, seed: int, loaded: bool, scatter: float, label: str
+    ) -> list[S]:
+        """Scenes of turning commands; see `turning_scenes`."""
+        return turning(
+            scene, n, self.reach, seed=seed, loaded=loaded, scatter=scatter, label=label
+        )
+
+    def draw(self, run: Trajectory, ax: Any = None, *, k: int = -1) -> Any:
+        """Horizontal displacement of the surface at sample k."""
+        rest, u = run.geometry["matrix.rest"], run.block("matrix.displacement")
+        error = run.error_of("matrix.displacement")
+        return draw_by("displacement_field", rest, u[k], ax=ax, error=error)
+
+    def refuse(self, scene: ScenePlan, use: str = "run") -> None:
+        """Refuse steps without end, crawlers, and effects that contradict each other."""
+        if use != "run":
+            return
+        plan = scene.training
+        for name, span in (("duration", scene.duration), ("training.duration", plan.duration)):
+            if span / scene.step > _MOST_STEPS:
+                raise SceneError(
+                    f"{name} / step = {span / scene.step:.3g} steps, more than {_MOST_STEPS:.0e}, "
+                    "which take months; shorten the run or lengthen the step"
+                )
+        if any(isinstance(cell, Crawler) for cell in scene.cells):
+            raise SceneError("a Crawler lives on a chain; its matrix must be a ChainScene")
+        if not scene.cells and scene.matrix is None:
+            raise SceneError("a scene needs [[cells]] or a [matrix]")
+        if "drag" not in scene.effects:
+            raise SceneError(
+                "effects.drag is missing: without drag nothing has a rate; add drag = {}"
+            )
+        on_matrix = scene.matrix is not None
+        check_effects(scene.effects, [c.effects for c in scene.cells], on_matrix)
+        told = scene.commands.heading or scene.commands.amplitude
+        if told and "lamellipodium" not in scene.effects:
+            raise SceneError(
+                "commands steer the lamellipodium, and effects.lamellipodium is missing"
+            )
+
+    def method(self, scene: ScenePlan) -> LinearlyImplicit:
+        """The scene's own step."""
+        return LinearlyImplicit(step=scene.step)
+
+    def memory(self, scene: ScenePlan, *, on_disk: bool = True, run: bool = True) -> MemoryNeed:
+        """By the number of nodes, cells and laws; see `plane_memory`."""
+        return plane_memory(scene, self.node_count, on_disk=on_disk, run=run)
+
+    def words(self, scene: ScenePlan) -> tuple[str, str]:
+        """The scene in words, and what makes it smaller."""
+        return plane_words(scene, self.node_count, "make the matrix smaller")
+
+
+NO_MATRIX = Plane()  # free membranes
+
+
+def _ordered(effects: dict[str, Effect]) -> list[tuple[str, Effect]]:
+    """Effects in the registry's order, so that one scene has one layout of x and eta.
+
+    A scene read back from a run folder names its effects in another order than its file did.
+    """
+    return sorted(effects.items(), key=lambda item: EFFECTS.place(item[0]))
+
+
+def _check_overlaps(cells: tuple[CellScene, ...]) -> None:
+    """Every cell against those in the squares around its own, as wide as two radii."""
+    wide = 2.0 * max((c.radius for c in cells), default=1.0)
+    squares: dict[tuple[float, float], list[int]] = {}
+    for i, a in enumerate(cells):
+        x, y = (v // wide for v in a.position)
+        near = ((x + p, y + q) for p in (-1, 0, 1) for q in (-1, 0, 1))
+        for j in sorted(j for square in near for j in squares.get(square, ())):
+            b = cells[j]
+            gap = float(np.hypot(a.position[0] - b.position[0], a.position[1] - b.position[1]))
+            if gap < a.radius + b.radius:
+                raise SceneError(
+                    f"cells[{j}] and cells[{i}] overlap: centres {gap:.3g} um apart, radii "
+                    f"{b.radius:g} + {a.radius:g} um; move them apart"
+                )
+        squares.setdefault((x, y), []).append(i)
