@@ -142,6 +142,13 @@ class Plane:
             raise SceneError(
                 "effects.drag is missing: without drag nothing has a rate; add drag = {}"
             )
+        for effects in (scene.effects, *(c.effects for c in scene.cells)):
+            for name, effect in effects.items():
+                if self.kind in effect.not_on:
+                    raise SceneError(
+                        f"effects.{name} has no meaning with matrix.kind = {self.kind!r}: "
+                        f"{effect.not_on[self.kind]}"
+                    )
         on_matrix = scene.matrix is not None
         check_effects(scene.effects, [c.effects for c in scene.cells], on_matrix)
         told = scene.commands.heading or scene.commands.amplitude

@@ -180,6 +180,14 @@ def test_units_bounds_and_names_of_parameters_are_held():
         Scene.parse(table({"kind": "gell"}), matrices=KINDS)
 
 
+def test_an_effect_says_itself_where_it_has_no_meaning(monkeypatch):
+    drag = cs.Scene.parse(table({"kind": "sheet"}), matrices=KINDS).effects["drag"]
+    monkeypatch.setattr(type(drag), "not_on", {"sheet": "a dry sheet"})
+    Scene.parse(table({"kind": "disc"}))
+    with pytest.raises(SceneError, match=r"effects.drag has no meaning .* 'sheet': a dry sheet"):
+        Scene.parse(table({"kind": "sheet"}), matrices=KINDS)
+
+
 def test_what_is_no_kind_of_matrix_is_told_what_it_lacks():
     @dataclass(frozen=True)
     class Half:
