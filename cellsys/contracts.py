@@ -283,6 +283,10 @@ class MatrixKind(Protocol[_Scene, _Cell]):
 
     kind: str  # what a scene file calls it, in matrix.kind
 
+    @property
+    def title(self) -> str:
+        """What it is, in a few words: "a disc of 60 um"."""
+
     def build(self, scene: _Scene) -> OdeSystem:
         """The full-order system of the scene."""
 

@@ -295,6 +295,35 @@ def test_the_contract_test_sees_attributes_and_methods():
     assert sniffed({"a.py": asks}, contract_members(contracts)) == {("a.py", "gather")}
 
 
+def told_apart(sources: dict[str, str]) -> list[str]:
+    """``file:line`` where code asks of which kind a matrix is: by its class or by its name."""
+    wrong = []
+    for name, text in sources.items():
+        for node in ast.walk(parsed(text)):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "isinstance":
+                asked = ast.unparse(node.args[1])
+                found = any(cls in asked for cls in ("ChainScene", "MatrixScene", "Plane"))
+            elif isinstance(node, ast.Compare):
+                sides = (node.left, *node.comparators)
+                found = any(isinstance(s, ast.Constant) and s.value in KINDS for s in sides)
+            else:
+                continue
+            if found:
+                wrong.append(f"{name}:{node.lineno}")
+    return wrong
+
+
+KINDS = ("chain", "disc", "gel")
+
+
+def test_no_file_asks_which_matrix_it_has():
+    """Disc and chain are objects of one contract, and so is what a user adds."""
+    assert told_apart(SOURCES) == []
+    # naive: a search for one spelling
+    for asks in ("isinstance(scene.matrix, ChainScene)", "plan.matrix.kind == 'chain'"):
+        assert told_apart({"a.py": f"def f(scene, plan):\n    return {asks}\n"}) == ["a.py:2"]
+
+
 def crowded(sources: dict[str, str], most: int) -> dict[str, int]:
     """Lines of every folder whose own files hold more than `most`."""
     lines: dict[str, int] = {}

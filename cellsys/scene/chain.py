@@ -67,6 +67,11 @@ class ChainScene(Chain):
 
     kind: str = "chain"
 
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"a chain of {self.nodes} nodes"
+
     def build(self, scene: ScenePlan) -> CrawlerSystem:
         """The crawlers on the chain."""
         return build_crawlers(scene.cells, self)
@@ -151,7 +156,7 @@ class ChainScene(Chain):
 
     def words(self, scene: ScenePlan) -> tuple[str, str]:
         """The scene in words, and what makes it smaller."""
-        return f"a chain of {self.nodes} nodes", "make the chain shorter"
+        return self.title, "make the chain shorter"
 
 
 def _fields(model: type, units: Mapping[str, str]) -> dict[str, Any]:

@@ -40,6 +40,11 @@ class MatrixScene(Plane):
     gradient: Gradient | None = None
 
     @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"a disc of {self.diameter:g} um"
+
+    @property
     def node_count(self) -> int:
         """Number of nodes that the scene asks for."""
         if self.nodes is not None:

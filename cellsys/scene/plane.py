@@ -43,6 +43,11 @@ class Plane:
         check_parameters(self)
 
     @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"a matrix of kind {self.kind}"
+
+    @property
     def node_count(self) -> int:
         """Number of nodes of the network."""
         return 0
@@ -170,7 +175,14 @@ class Plane:
         return plane_words(scene, self.node_count, "make the matrix smaller")
 
 
-NO_MATRIX = Plane()  # free membranes
+class FreeMembranes(Plane):
+    """Cells on nothing."""
+
+    kind: ClassVar[str] = "none"
+    title: ClassVar[str] = "no matrix"
+
+
+NO_MATRIX = FreeMembranes()
 
 
 def _ordered(effects: dict[str, Effect]) -> list[tuple[str, Effect]]:

@@ -64,15 +64,11 @@ class Scene:
 
     def __repr__(self) -> str:
         """The scene in a few lines."""
-        matrix = "no matrix"
-        if isinstance(self.matrix, ChainScene):
-            matrix = f"a chain of {self.matrix.nodes} nodes"
-        elif self.matrix is not None:
-            matrix = f"a disc of {self.matrix.diameter:g} um"
         effects = textwrap.shorten(", ".join(self.effects) or "none", 400, placeholder=" ...")
         text = (
-            f"Scene {self.name!r}: {len(self.cells)} cell{'s' * (len(self.cells) != 1)}, {matrix}, "
-            f"{self.duration:g} s every {self.sample:g} s; effects: {effects}"
+            f"Scene {self.name!r}: {len(self.cells)} cell{'s' * (len(self.cells) != 1)}, "
+            f"{self.matrix_kind.title}, {self.duration:g} s every {self.sample:g} s; "
+            f"effects: {effects}"
         )
         return textwrap.fill(text, 100, subsequent_indent="    ")
 

@@ -75,6 +75,7 @@ class Bead:
     """Satisfies the contract and derives from nothing: a bead in a trap, x' = -rate x."""
 
     kind: ClassVar[str] = "bead"
+    title: ClassVar[str] = "a bead in a trap"
     rate: float = parameter("0.5 1/s", "1/s", above=0, source="test", about="stiffness / drag")
 
     def build(self, scene):
@@ -196,7 +197,7 @@ def test_what_is_no_kind_of_matrix_is_told_what_it_lacks():
         def build(self, scene):
             """Alone."""
 
-    with pytest.raises(SceneError, match=r"Half.* no place_cells, start_elsewhere, train"):
+    with pytest.raises(SceneError, match=r"Half.* no title, place_cells, start_elsewhere, train"):
         Scene.parse(table({"kind": "half"}), matrices=[Half])
     with pytest.raises(ParameterError, match="matrix"):
         Scene("x", 1.0, 1.0, {}, matrix=Half())
@@ -216,6 +217,7 @@ def test_a_bead_is_run_kept_and_read_back_and_the_fingerprint_knows_its_law(tmp_
     assert np.allclose(run.x[:, 0], np.exp(-0.5 * run.t), rtol=1e-8)
     plain = json.loads(json.dumps(scene.canonical()))
     assert scene_from_plain(plain, matrices=KINDS) == scene
+    assert "a bead in a trap" in repr(scene)
     assert plain["matrix"]["kind"] == "bead"
     assert plain["matrix"]["origin"].startswith("Bead ")
     with pytest.raises(ParameterError, match=r"'bead' is of a script .* matrices="):
