@@ -1,6 +1,9 @@
 """Objects of one's own join by satisfying a contract; others are refused by what they lack."""
 
 import dataclasses
+import re
+import textwrap
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -139,3 +142,27 @@ def test_a_basis_carries_samples_of_its_own_data_alone():
     same = cs.PCR().fit(wide, 4, basis=cs.fit_basis(wide, 8).with_parts(wide))
     again = cs.PCR().fit(wide, 4, basis=cs.fit_basis(wide, 8))
     np.testing.assert_allclose(same.A, again.A, rtol=1e-9)  # products of other widths round apart
+
+
+def snippet(text, word):
+    """The block of Python of the README that holds a word."""
+    blocks = re.findall(r"```python\n(.*?)```", text, re.S)
+    return textwrap.dedent(next(b for b in blocks if word in b))
+
+
+def test_the_integrator_of_the_readme_runs():
+    """It is of second order: half the step leaves a quarter of the error."""
+    text = (Path(cs.__file__).parents[1] / "README.md").read_text("utf-8")
+    names = {"Stepper": cs.integrate.Stepper}
+    exec(snippet(text, "class Midpoint"), names)
+    loop, t = cs.closed_loop(latent(steered=True)), np.arange(0.0, 21.0, 4.0)
+    exact = loop.simulate(t, cs.DOP853(rtol=1e-12, atol=1e-13)).x
+    errors = []
+    for step in (0.5, 0.25):
+        method = names["Midpoint"]()
+        method.step = step
+        run = loop.simulate(t, method)
+        errors.append(np.abs(run.x - exact).max())
+    assert errors[0] == pytest.approx(4.0 * errors[1], rel=0.2)
+    with pytest.raises(ParameterError, match="integrator must be an integrator"):
+        loop.simulate(t, SimpleNamespace(step=1.0))
