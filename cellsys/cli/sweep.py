@@ -30,10 +30,15 @@ def sweep(
     """Run a scene at every combination of values; finished runs are kept and not run again."""
     from cellsys.observe import read_out_errors, read_outs
     from cellsys.scene import run_ensemble
+    from cellsys.scene.memory import memory_need
     from cellsys.scene.variants import read_setting, variants
     from cellsys.store.atomic import write_text
+    from cellsys.store.memory import size_text
 
     chosen = variants(scene, [read_setting(text) for text in settings])
+    if not as_json:
+        need = sum(memory_need(variant).record for _, variant in chosen)
+        show(f"{len(chosen)} runs, {size_text(need)} on the disk")
     folder = Path("out") / f"{scene.stem} sweep" if out is None else out
     with progress_bars(quiet) as progress:
         runs = run_ensemble(

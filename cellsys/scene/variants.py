@@ -15,7 +15,9 @@ from typing import Any
 from cellsys.errors import SceneError
 from cellsys.kinds import shown
 from cellsys.scene.inherit import MOST_PARTS, find_scene, inherited, parse_toml, read_table
+from cellsys.scene.memory import memory_need
 from cellsys.scene.scene import Scene, parse_scene
+from cellsys.store.memory import size_text
 
 MOST_SCENES = 10_000  # of one sweep: as many take half a minute to be read alone
 
@@ -137,6 +139,15 @@ def with_value(table: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]
     return out
 
 
+def _size(table: Mapping[str, Any], folder: Path, count: int) -> str:
+    """What so many runs of the scene as it stands take on the disk; empty where it is none."""
+    try:
+        record = memory_need(parse_scene(table, folder=folder)).record
+    except SceneError:
+        return ""  # it lacks what the settings give
+    return f" ({size_text(count * record)} in all)"
+
+
 def variants(
     path: str | Path, settings: Sequence[tuple[str, Sequence[str]]]
 ) -> list[tuple[dict[str, str], Scene]]:
@@ -163,7 +174,8 @@ def variants(
     if math.prod(counts) > MOST_SCENES:
         raise SceneError(
             f"{' x '.join(map(str, counts))} values are {math.prod(counts)} combinations, each a "
-            f"run; at most {MOST_SCENES} are taken at once: set fewer keys or values"
+            f"run{_size(table, source.parent, math.prod(counts))}; at most {MOST_SCENES} are taken "
+            "at once: set fewer keys or values"
         )
     out = []
     for values in itertools.product(*(v for _, v in settings)):
