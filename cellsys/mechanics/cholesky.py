@@ -108,16 +108,16 @@ def analyse(matrix: sp.csc_array) -> Analysis:
     # Supernodes in postorder; each may take up the one before it.
     nodes: list[tuple[int, int, np.ndarray, int]] = []  # first, end, rows below, zeros stored
     begin = 0
-    for j in range(n):
-        alike = j + 1 < n and parent[j] == j + 1 and count[j] == count[j + 1] + 1
-        if alike and j + 1 - begin < _WIDE:
+    for c in range(n):
+        alike = c + 1 < n and parent[c] == c + 1 and count[c] == count[c + 1] + 1
+        if alike and c + 1 - begin < _WIDE:
             continue
-        node = (begin, j + 1, rows[start[j] : start[j + 1]], 0)
+        node = (begin, c + 1, rows[start[c] : start[c + 1]], 0)
         while nodes and (joined := _joined(nodes[-1], node)) is not None:
             node = joined
             nodes.pop()
         nodes.append(node)
-        begin = j + 1
+        begin = c + 1
     first = np.array([node[0] for node in nodes] + [n])
     width = np.diff(first)
     height = np.array([len(node[2]) for node in nodes])

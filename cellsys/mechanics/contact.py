@@ -165,12 +165,23 @@ def until_contact(run: Trajectory, gap: float = 0.0) -> Trajectory:
         return run
     time, k, who = first
     keep = max(k, 1)
-    rows = {n: None if getattr(run, n) is None else getattr(run, n)[:keep]
-            for n in ("p", "d", "amplitude", "virial", "stiffness")}  # fmt: skip
-    steps = {n: None if getattr(run, n) is None else getattr(run, n)[: keep - 1]
-             for n in ("eta", "u")}  # fmt: skip
-    events = (*(e for e in run.events if e.time <= time), Event(time, "contact", who))
-    return replace(run, t=run.t[:keep], x=run.x[:keep], events=events, **rows, **steps)
+
+    def cut(values: np.ndarray | None, rows: int = keep) -> np.ndarray | None:
+        return None if values is None else values[:rows]
+
+    return replace(
+        run,
+        t=run.t[:keep],
+        x=run.x[:keep],
+        events=(*(e for e in run.events if e.time <= time), Event(time, "contact", who)),
+        p=cut(run.p),
+        d=cut(run.d),
+        amplitude=cut(run.amplitude),
+        virial=cut(run.virial),
+        stiffness=cut(run.stiffness),
+        eta=cut(run.eta, keep - 1),
+        u=cut(run.u, keep - 1),
+    )
 
 
 def _first_below(

@@ -21,7 +21,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -32,6 +31,8 @@ from cellsys.mechanics import crawler_kernels as kernels
 from cellsys.mechanics.geometry.chain import MOST, Chain
 from cellsys.system import Block, EventFunction, Layout, OdeSystem
 
+_Guard = Callable[[float, np.ndarray], float]
+_Reset = Callable[[float, np.ndarray], np.ndarray]
 _CELL_STATES = (
     ("lead", "um", "position"),
     ("trail", "um", "position"),
@@ -162,6 +163,12 @@ class CrawlerSystem(OdeSystem):
     events). Auxiliaries: per cell thesis eq. 40 and e_Blead; ``chain.velocity`` (N,). All laws
     are in eta, as in eq. 39; W_eta is constant with entries 0, +-1 and -b_E.
     """
+
+    cells: tuple[Crawler, ...]
+    chain: Chain
+    _table: np.ndarray  # one row of numbers per cell
+    _numbers: np.ndarray  # of the chain
+    _events: tuple[EventFunction, ...]
 
     def __init__(self, cells: tuple[Crawler, ...], chain: Chain) -> None:
         check_places(cells, chain)
@@ -302,7 +309,7 @@ def _junctions(cells: tuple[Crawler, ...], chain: Chain) -> sp.csr_array:
 def _events(table: np.ndarray, numbers: np.ndarray, N: int) -> list[EventFunction]:
     """Lead and trail of every cell: level guards, so that nothing already past is missed."""
 
-    def pair(c: int, trail: bool) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    def pair(c: int, trail: bool) -> tuple[_Guard, _Reset]:
         return (
             lambda t, x: kernels.guard(x, table, N, c, trail),
             lambda t, x: kernels.regrab(x, table, numbers, N, c, trail),

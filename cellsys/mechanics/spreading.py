@@ -26,12 +26,18 @@ from cellsys.mechanics.effects.protocol import (
     Element,
     JunctionArray,
     Site,
+    Stiffness,
 )
 from cellsys.mechanics.geometry.disc import Disc
 from cellsys.mechanics.junctions import junction_graph, product
 from cellsys.mechanics.tangent import combine
 from cellsys.overdamped import MajorantBlock, OverdampedSystem, RankOne
 from cellsys.system import Block, Event, Layout
+
+_Place = tuple[slice, tuple[int, ...]]  # where a block lies, and its shape
+_Driven = tuple[
+    Element, tuple[tuple[slice, tuple[int, ...], np.ndarray], ...], tuple[_Place, ...]
+]
 
 
 @dataclass(frozen=True)
@@ -126,6 +132,26 @@ class SpreadingSystem(OverdampedSystem):
 
     _made_by: ClassVar[str] = "cs.build(scene) of a scene on a disc"
 
+    cells: tuple[CellSpec, ...]
+    matrix: Disc | None
+    elements: tuple[Element, ...]
+    arrays: tuple[JunctionArray, ...]
+    _arrays: dict[str, str]  # block of each array
+    _index: dict[str, np.ndarray]
+    _drag: np.ndarray
+    _last: tuple[tuple[np.ndarray, Configuration], ...]
+    _senses: bool
+    _nodes: tuple[tuple[str, slice, tuple[int, ...]], ...]
+    _inside: tuple[tuple[str, slice, tuple[int, ...]], ...]
+    _forces: tuple[tuple[Element, tuple[_Place, ...]], ...]
+    _driven: tuple[_Driven, ...]
+    _undriven: np.ndarray
+    _advancing: tuple[Element, ...]
+    _low_rank: tuple[Element, ...]
+    _switching: tuple[Element, ...]
+    _blocks: tuple[tuple[slice, slice], ...]
+    _cholesky: dict[str, SparseCholesky]
+
     def __init__(
         self,
         cells: tuple[CellSpec, ...],
@@ -156,12 +182,12 @@ class SpreadingSystem(OverdampedSystem):
         still = np.zeros(states.size)
         still.setflags(write=False)
 
-        def driven(element: Element) -> tuple[Element, tuple, tuple]:
-            pushed = [_place(states, arrays[port.array]) for port in element.inputs]
+        def driven(element: Element) -> _Driven:
+            pushed = [_place_of(states, arrays[port.array]) for port in element.inputs]
             return (
                 element,
                 tuple((piece, shape, mobility[piece]) for piece, shape in pushed),
-                tuple(_place(states, arrays[h.array]) for h in element.holds),
+                tuple(_place_of(states, arrays[h.array]) for h in element.holds),
             )
 
         for name, value in (
@@ -174,12 +200,12 @@ class SpreadingSystem(OverdampedSystem):
             ("_last", ()),
             ("_senses", any(getattr(e, "sensing", None) is not None for e in elements)),
             # What a step goes through, found once: what is absent is not asked.
-            ("_nodes", tuple((a, *_place(states, b)) for a, b in arrays.items())),
-            ("_inside", tuple((b.name, *_place(states, b.name)) for b in inside)),
+            ("_nodes", tuple((a, *_place_of(states, b)) for a, b in arrays.items())),
+            ("_inside", tuple((b.name, *_place_of(states, b.name)) for b in inside)),
             (
                 "_forces",
                 tuple(
-                    (e, tuple(_place(auxiliaries, p.block) for p in e.ports))
+                    (e, tuple(_place_of(auxiliaries, p.block) for p in e.ports))
                     for e in elements
                     if e.ports
                 ),
@@ -287,7 +313,7 @@ class SpreadingSystem(OverdampedSystem):
 
     def observe(self, t: float, x: np.ndarray) -> dict[str, np.ndarray]:
         s = self.configuration(t, x)
-        out: dict[str, list] = {}
+        out: dict[str, list[np.ndarray]] = {}
         for element in self.elements:
             for name, value in element.observe(s).items():
                 out.setdefault(name, []).append(value)
@@ -324,7 +350,7 @@ class SpreadingSystem(OverdampedSystem):
 
     def majorant(self, t: float, x: np.ndarray, dt: float) -> tuple[MajorantBlock, ...]:
         s = self.configuration(t, x)
-        parts: dict[str, list] = {array: [] for array in self._index}
+        parts: dict[str, list[Stiffness]] = {array: [] for array in self._index}
         for element in self.elements:
             for item in element.stiffness(s):
                 parts[item.array].append(item)
@@ -359,7 +385,7 @@ class SpreadingSystem(OverdampedSystem):
         return x, tuple(events)
 
 
-def _place(layout: Layout, name: str) -> tuple[slice, tuple[int, ...]]:
+def _place_of(layout: Layout, name: str) -> _Place:
     """Where a block lies, and its shape."""
     return layout.slice(name), layout[name].shape
 

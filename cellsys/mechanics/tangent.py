@@ -30,10 +30,10 @@ def combine(array: str, index: np.ndarray, items: list[Stiffness], t: float) -> 
     share a block and its factorisation.
     """
     n = len(index)
+    groups: dict[tuple[int, ...], tuple[int, ...]] = {}
     if any(not item.axes for item in items):
-        groups = {tuple(range(len(items))): ()}
+        groups[tuple(range(len(items)))] = ()
     else:
-        groups = {}
         for axis in range(3):
             members = tuple(i for i, item in enumerate(items) if axis in item.axes)
             groups[members] = (*groups.get(members, ()), axis)

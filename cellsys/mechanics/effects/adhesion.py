@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from cellsys.errors import SceneError
-from cellsys.mechanics.effects.protocol import Effect, Element, Site, parameter
+from cellsys.mechanics.effects.bond_laws import ClusterLaw, ClutchLaw
+from cellsys.mechanics.effects.protocol import Element, Site, parameter
 
 
 @dataclass(frozen=True)
-class FocalAdhesion(Effect):
+class FocalAdhesion(ClutchLaw, ClusterLaw):
     """Adhesion of membrane nodes to the matrix surface [thesis 4.3, eq. 61-62].
 
     ``kinetics = "clutch"``: mean-field motor clutch, smooth [notes: mechanics, clutch].
@@ -169,7 +170,7 @@ class FocalAdhesion(Effect):
         if self.kinetics == "clutch":
             from cellsys.mechanics.effects.clutch import ClutchElement
 
-            return (ClutchElement(self, site.cell, site.matrix),)
+            return (ClutchElement(self, site.body, site.matrix),)
         from cellsys.mechanics.effects.switching import SwitchingElement
 
-        return (SwitchingElement(self, site.cell, site.matrix),)
+        return (SwitchingElement(self, site.body, site.matrix),)

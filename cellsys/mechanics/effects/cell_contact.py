@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -115,12 +116,12 @@ class _CellContactElement(Element):
         near = tuple(np.zeros(len(f)) for f in out)
         at = [s.nodes[c.name] for c in self.cells]
         low, high = [x.min(axis=0) for x in at], [x.max(axis=0) for x in at]
-        surfaces: list[Surface | None] = [None] * len(at)
+        surfaces: dict[int, Surface] = {}
         for i in range(len(at)):
             for j in range(len(at)):
                 if i == j or (low[i] > high[j] + reach).any() or (high[i] < low[j] - reach).any():
                     continue
-                if surfaces[j] is None:
+                if j not in surfaces:
                     surfaces[j] = self.cells[j].membrane.mesh.at(at[j])
                 energy += surface_contact(
                     at[i], *surfaces[j].arrays, e.stiffness, e.gap, reach,
@@ -145,7 +146,7 @@ class _CellContactElement(Element):
         _, near = self._look(s, out, self.effect.gap + _MARGIN)
         k = 2.0 * self.effect.stiffness
         return tuple(
-            Stiffness(c.name, (0, 1, 2), lambda n=n: diagonal(k * n), None)
+            Stiffness(c.name, (0, 1, 2), partial(diagonal, k * n), None)
             for c, n in zip(self.cells, near, strict=True)
             if n.any()
         )

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from cellsys.mechanics import clutch_kernels as kernels
+from cellsys.mechanics.effects.bond_laws import ClutchLaw
 from cellsys.mechanics.effects.matrix import MATRIX
 from cellsys.mechanics.effects.protocol import (
     CellBody,
     Configuration,
-    Effect,
     Element,
     Port,
     Stiffness,
@@ -39,14 +39,10 @@ class SurfaceBins:
         # Most nodes that any point can have in reach, counted with a margin of one bin.
         counts = np.diff(self.start).reshape(self.bins, self.bins)
         padded = np.pad(counts, 1)
-        self.most = int(
-            max(
-                1,
-                sum(
-                    padded[i : i + self.bins, j : j + self.bins] for i in range(3) for j in range(3)
-                ).max(),
-            )
-        )
+        around = np.zeros_like(counts)
+        for i, j in np.ndindex(3, 3):
+            around += padded[i : i + self.bins, j : j + self.bins]
+        self.most = max(1, int(around.max()))
 
     def weights(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(index, weight, count) of the matrix nodes under each membrane node."""
@@ -71,7 +67,7 @@ class SurfaceBins:
 class ClutchElement(Element):
     """Clutches of one cell: what the cell loses the matrix gains, by the same weights."""
 
-    def __init__(self, effect: Effect, cell: CellBody, disc: Disc) -> None:
+    def __init__(self, effect: ClutchLaw, cell: CellBody, disc: Disc) -> None:
         self.effect, self.disc = effect, disc
         self.name = f"{cell.name}.{effect.name}"
         self.array = cell.name

@@ -61,13 +61,13 @@ class Cortex(Effect):
     )  # fmt: skip
 
     def arrays(self, site: Site) -> tuple[JunctionArray, ...]:
-        shape = site.cell.membrane.position.shape
-        name = f"{site.cell.name}.cortex"
+        shape = site.body.membrane.position.shape
+        name = f"{site.body.name}.cortex"
         block = Block(f"{name}.offset", shape, "um")
         return (JunctionArray(name, block, np.zeros(shape), np.full(shape, self.drag)),)
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_CortexElement(self, site.cell),)
+        return (_CortexElement(self, site.body),)
 
 
 class _CortexElement(Element):

@@ -80,7 +80,7 @@ class ExternalStrain(Effect):
     history: History = History((0.0, 100.0), (0.0, 1.0))
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_StrainElement(self, site.matrix),)
+        return (_StrainElement(self, site.disc),)
 
 
 class _StrainElement(Element):

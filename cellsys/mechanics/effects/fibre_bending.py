@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
+import scipy.sparse as sp
 
 from cellsys.mechanics.compiled import compiled
 from cellsys.mechanics.effects.matrix import MATRIX
@@ -97,7 +99,7 @@ class FibreBending(Effect):
     )  # fmt: skip
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_BendingElement(self, site.matrix),)
+        return (_BendingElement(self, site.disc),)
 
 
 def straight_pairs(disc: Disc, most: float) -> np.ndarray:
@@ -154,16 +156,17 @@ class _BendingElement(Element):
         """
         _, theta = self._look(s, np.zeros_like(s.nodes[MATRIX]))
         weight = 2.0 * self.modulus * (1.0 + 2.0 * np.maximum(theta - self.angle, 0.0))
-        if self._weight is None or np.any(weight > self._weight):
-            self._weight = 1.3 * weight
+        kept = self._weight
+        if kept is None or np.any(weight > kept):
+            kept = self._weight = 1.3 * weight
             self._key += 1
-        if not self._weight.any():
+        if not kept.any():
             return ()
-        return (Stiffness(MATRIX, (0, 1, 2), self._bound, self._key),)
+        return (Stiffness(MATRIX, (0, 1, 2), partial(self._bound, kept), self._key),)
 
-    def _bound(self) -> object:
+    def _bound(self, weight: np.ndarray) -> sp.csc_array:
         i, j, k = self.triples.T
         pairs = np.concatenate([np.column_stack([i, j]), np.column_stack([j, k])])
         l1, l2 = self.lengths
-        weights = np.concatenate([self._weight / l1**2, self._weight / l2**2])
+        weights = np.concatenate([weight / l1**2, weight / l2**2])
         return laplacian(len(self.disc.position), pairs, weights)

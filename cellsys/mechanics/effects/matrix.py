@@ -104,7 +104,7 @@ class MatrixElasticity(Effect):
         return FibreLaw(self.buckling_ratio, self.blend, onset, self.greatest_slope - 1.0)
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (FibreElement(self, site.matrix),)
+        return (FibreElement(self, site.disc),)
 
 
 class FibreElement(Element):
@@ -114,8 +114,7 @@ class FibreElement(Element):
         self.disc, self.law = disc, effect.fibre_law()
         self.name = f"{MATRIX}.{effect.name}"
         self.ports = (Port(MATRIX, self.name),)
-        self._along: np.ndarray | None = None
-        self._across: np.ndarray | None = None
+        self._bounds: tuple[np.ndarray, np.ndarray] | None = None
         self._key = 0
         self._assembly: StiffnessAssembly | None = None
         # Share of each fibre that is left, set by an effect that takes some away.
@@ -135,7 +134,7 @@ class FibreElement(Element):
         )
 
     def forget(self) -> None:
-        self._along = self._across = None
+        self._bounds = None
 
     def slopes(self, s: Configuration) -> tuple[np.ndarray, np.ndarray]:
         """Tangent slope g' and tension (pN) of every fibre."""
@@ -179,22 +178,25 @@ class FibreElement(Element):
         # axis, which decides for the floppy out-of-plane modes of a thin film.
         along = np.maximum(slope, 1.0) * d.stiffness
         across = np.maximum(tension, 0.0) / d.length
+        kept = self._bounds
         if (
-            self._along is None
-            or np.any(along > self._along)
-            or np.any(across > self._across)
-            or along.sum() < _SOFTER * self._along.sum()
+            kept is None
+            or np.any(along > kept[0])
+            or np.any(across > kept[1])
+            or along.sum() < _SOFTER * kept[0].sum()
         ):
-            self._along = np.where(slope > 1.0, 1.2, 1.1) * along
-            self._across = 2.0 * across + 0.06 * d.stiffness
+            kept = self._bounds = (
+                np.where(slope > 1.0, 1.2, 1.1) * along,
+                2.0 * across + 0.06 * d.stiffness,
+            )
             self._key += 1
         x = d.position + s.nodes[MATRIX]
-        return (Stiffness(MATRIX, (), lambda: self._bound(x), self._key),)
+        return (Stiffness(MATRIX, (), lambda: self._bound(x, *kept), self._key),)
 
-    def _bound(self, x: np.ndarray) -> sp.csc_array:
+    def _bound(self, x: np.ndarray, along: np.ndarray, across: np.ndarray) -> sp.csc_array:
         if self._assembly is None:
             self._assembly = StiffnessAssembly(len(x), self.disc.fibres)
-        return self._assembly(x, self._along, self._across)
+        return self._assembly(x, along, across)
 
 
 @dataclass(frozen=True)
@@ -213,7 +215,7 @@ class Foundation(Effect):
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_FoundationElement(self, site.matrix),)
+        return (_FoundationElement(self, site.disc),)
 
 
 class _FoundationElement(Element):

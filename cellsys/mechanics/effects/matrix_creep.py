@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+import scipy.sparse as sp
 
 from cellsys.laws.fibre import axial, axial_energy
 from cellsys.mechanics.compiled import compiled
@@ -126,17 +127,17 @@ class _CreepElement(Element):
         kept = self._bounds
         if kept is None or np.any(along > kept[0]) or np.any(across > kept[1]):
             # Fibres turn between two looks; a floor across the axis covers it, as in `matrix`.
-            self._bounds = 1.1 * along, 2.0 * across + 0.06 * along
+            kept = self._bounds = 1.1 * along, 2.0 * across + 0.06 * along
             self._key += 1
-        if not self._bounds[0].any() and not self._bounds[1].any():
+        if not kept[0].any() and not kept[1].any():
             return ()
         x = self.disc.position + s.nodes[MATRIX]
-        return (Stiffness(MATRIX, (), lambda: self._bound(x), self._key),)
+        return (Stiffness(MATRIX, (), lambda: self._bound(x, *kept), self._key),)
 
-    def _bound(self, x: np.ndarray) -> object:
+    def _bound(self, x: np.ndarray, along: np.ndarray, across: np.ndarray) -> sp.csc_array:
         if self._assembly is None:
             self._assembly = StiffnessAssembly(len(x), self.disc.fibres)
-        return self._assembly(x, *self._bounds)
+        return self._assembly(x, along, across)
 
 
 class _MaxwellElement(_CreepElement):

@@ -144,7 +144,7 @@ class MembraneElasticity(Effect):
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_MembraneElement(self, site.cell),)
+        return (_MembraneElement(self, site.body),)
 
 
 class _MembraneElement(Element):
@@ -200,7 +200,7 @@ class CorticalTension(Effect):
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_TensionElement(self, site.cell),)
+        return (_TensionElement(self, site.body),)
 
 
 class _TensionElement(Element):
@@ -250,7 +250,7 @@ class Volume(Effect):
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_VolumeElement(self, site.cell),)
+        return (_VolumeElement(self, site.body),)
 
 
 class _VolumeElement(Element):
@@ -306,7 +306,7 @@ class SubstrateContact(Effect):
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_ContactElement(self, site.cell),)
+        return (_ContactElement(self, site.body),)
 
 
 class _ContactElement(Element):

@@ -104,12 +104,12 @@ class Nucleus(Effect):
         return sphere(self.radius, tuple(center), _NODES)
 
     def arrays(self, site: Site) -> tuple[JunctionArray, ...]:
-        at, name = self.body(site.cell).position, f"{site.cell.name}.nucleus"
+        at, name = self.body(site.body).position, f"{site.body.name}.nucleus"
         block = Block(f"{name}.position", at.shape, "um")
         return (JunctionArray(name, block, at, np.full(at.shape, self.drag)),)
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_NucleusElement(self, site.cell, self.body(site.cell)),)
+        return (_NucleusElement(self, site.body, self.body(site.body)),)
 
 
 class _NucleusElement(Element):
@@ -120,8 +120,8 @@ class _NucleusElement(Element):
         outer, n = cell.membrane.position, len(cell.membrane.position)
         distance, nearest = cKDTree(outer).query(mesh.position, k=_LINKS)
         own = n + np.repeat(np.arange(len(mesh.position)), _LINKS)
-        self.links = np.column_stack([nearest.ravel(), own]).astype(np.int64)
-        self.link_length = np.ascontiguousarray(distance.ravel())
+        self.links = np.column_stack([np.ravel(nearest), own]).astype(np.int64)
+        self.link_length = np.ravel(distance).copy()
 
     def _forces(self, s: Configuration, outer: np.ndarray, inner: np.ndarray) -> float:
         e, m = self.effect, self.mesh

@@ -13,16 +13,19 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 
-from cellsys.errors import ParameterError
+from cellsys.errors import ParameterError, SceneError
+from cellsys.mechanics.commands import Commands
 from cellsys.mechanics.geometry.disc import Disc
 from cellsys.mechanics.geometry.membrane import Membrane
 from cellsys.system import Block, Event
 from cellsys.units import quantity
+
+E = TypeVar("E", bound="Effect")
 
 
 def parameter(
@@ -55,7 +58,7 @@ def parameter(
     )
 
 
-def check_parameters(effect: Any) -> None:
+def check_parameters(effect: Effect) -> None:
     """Compare every field with its bounds; ParameterError names the value and the bound."""
     owner = getattr(effect, "name", type(effect).__name__)
     for item in dataclasses.fields(effect):
@@ -135,17 +138,41 @@ class Effect:
 class Site:
     """Where an effect is built: a cell (or None) on a matrix (or None).
 
-    `cells` and `arrays` hold all bodies and node arrays of the scene, `built` the elements that
+    `body` and `disc` are the cell and the matrix of a site that must have them. `cells` and
+    `arrays` hold all bodies and node arrays of the scene, `built` the elements that
     stand already: the matrix before the cells, the cells one after the other.
     """
 
     cell: CellBody | None
     matrix: Disc | None
-    commands: Any
+    commands: Commands | None
     effects: dict[str, Effect]
     cells: tuple[CellBody, ...] = ()
     arrays: tuple[JunctionArray, ...] = ()
     built: tuple[Element, ...] = ()
+
+    @property
+    def body(self) -> CellBody:
+        """The site's cell; SceneError where there is none."""
+        if self.cell is None:
+            raise SceneError("this effect is built at a cell; give it acts_on = 'cell'")
+        return self.cell
+
+    @property
+    def disc(self) -> Disc:
+        """The site's matrix; SceneError where there is none."""
+        if self.matrix is None:
+            raise SceneError("this effect needs a matrix; add [matrix] to the scene")
+        return self.matrix
+
+    @property
+    def commanded(self) -> Commands:
+        """Commands of the site's cell; empty ones where nothing is commanded."""
+        return Commands() if self.commands is None else self.commands
+
+    def find(self, kind: type[E]) -> E | None:
+        """The effect of this class, if the site has one."""
+        return next((e for e in self.effects.values() if isinstance(e, kind)), None)
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ class Lamellipodium(Effect):
             )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (LamellipodiumElement(self, site.cell, site.commands),)
+        return (LamellipodiumElement(self, site.body, site.commanded),)
 
 
 class LamellipodiumElement(Element):
@@ -257,10 +257,10 @@ def polarity_element(site: Site) -> PolarityElement:
     if fibres is not None and "stiffness_sensing" in site.effects:
         fibres.sensed = True
     return PolarityElement(
-        site.cell,
-        site.commands,
-        site.effects.get("polarity"),
-        site.effects.get("stiffness_sensing"),
+        site.body,
+        site.commanded,
+        site.find(Polarity),
+        site.find(StiffnessSensing),
         fibres,
     )
 
@@ -316,7 +316,7 @@ class ExternalLoad(Effect):
     patches: tuple[ExternalLoad, ...] = ()
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_LoadElement(self, site.matrix),)
+        return (_LoadElement(self, site.disc),)
 
 
 class _LoadElement(Element):

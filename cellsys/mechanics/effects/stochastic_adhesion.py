@@ -9,14 +9,15 @@ import numpy as np
 
 from cellsys.errors import SceneError
 from cellsys.laws.bell import bell_off_rate
-from cellsys.mechanics.effects.protocol import Configuration, Effect, Element, Site, parameter
+from cellsys.mechanics.effects.bond_laws import ClusterLaw
+from cellsys.mechanics.effects.protocol import Configuration, Element, Site, parameter
 from cellsys.mechanics.effects.switching import SwitchingElement
 from cellsys.mechanics.streams import stream
 from cellsys.system import Event
 
 
 @dataclass(frozen=True)
-class StochasticAdhesion(Effect):
+class StochasticAdhesion(ClusterLaw):
     """Bell clusters with whole bonds: in a step dt at a load f per bond
 
         gains  ~ Binomial(n_max - n, 1 - exp(-k_on dt))
@@ -116,7 +117,7 @@ class StochasticAdhesion(Effect):
     def elements(self, site: Site) -> tuple[Element, ...]:
         if site.matrix is None:
             raise SceneError("stochastic_adhesion needs a matrix; add [matrix] to the scene")
-        return (_StochasticElement(self, site.cell, site.matrix),)
+        return (_StochasticElement(self, site.body, site.matrix),)
 
 
 class _StochasticElement(SwitchingElement):

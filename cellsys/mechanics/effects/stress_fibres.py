@@ -7,6 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from cellsys.errors import SceneError
+from cellsys.mechanics.effects.bond_laws import ClusterLaw
 from cellsys.mechanics.effects.protocol import (
     CellBody,
     Configuration,
@@ -49,9 +51,11 @@ class StressFibres(Effect):
     )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        adhesion = site.effects.get("focal_adhesion") or site.effects["stochastic_adhesion"]
-        nuclear = any(a.name == f"{site.cell.name}.nucleus" for a in site.arrays)
-        return (_StressFibreElement(self, site.cell, adhesion.bonds, nuclear),)
+        adhesion = site.find(ClusterLaw)
+        if adhesion is None:
+            raise SceneError("stress_fibres needs focal_adhesion or stochastic_adhesion; add one")
+        nuclear = any(a.name == f"{site.body.name}.nucleus" for a in site.arrays)
+        return (_StressFibreElement(self, site.body, adhesion.bonds, nuclear),)
 
 
 class _StressFibreElement(Element):

@@ -11,11 +11,11 @@ from cellsys.laws.bell import (
     contraction_step,
 )
 from cellsys.mechanics.compiled import compiled
+from cellsys.mechanics.effects.bond_laws import ClusterLaw
 from cellsys.mechanics.effects.matrix import MATRIX
 from cellsys.mechanics.effects.protocol import (
     CellBody,
     Configuration,
-    Effect,
     Element,
     Port,
     Stiffness,
@@ -97,7 +97,7 @@ class SwitchingElement(Element):
     Laws and numbers: [notes: mechanics, clusters].
     """
 
-    def __init__(self, effect: Effect, cell: CellBody, disc: Disc) -> None:
+    def __init__(self, effect: ClusterLaw, cell: CellBody, disc: Disc) -> None:
         self.effect, self.disc = effect, disc
         self.name = f"{cell.name}.{effect.name}"
         self.array = cell.name
@@ -201,7 +201,7 @@ class SwitchingElement(Element):
         partner = s.internal[self.partner]
         drawn = rng.random(len(number))
         gone = np.flatnonzero((partner >= 0.0) & (number < RUPTURE))
-        events = [Event(s.t, "rupture", self._detail(i, partner[i])) for i in gone]
+        events = [Event(s.t, "rupture", self._detail(int(i), partner[i])) for i in gone]
         # A ruptured node binds again in the next step at the earliest.
         drawn[gone] = 1.0
         number[gone], length[gone], partner[gone] = 0.0, 0.0, FREE
@@ -228,11 +228,11 @@ class SwitchingElement(Element):
         number[new], partner[new] = 1.0, found[new, 0]
         # Born at its own length: a new cluster carries no load.
         length[new] = np.maximum(e.rest_length, found[new, 1])
-        events += [Event(s.t, "bind", self._detail(i, partner[i])) for i in new]
+        events += [Event(s.t, "bind", self._detail(int(i), partner[i])) for i in new]
         return tuple(events)
 
     def _detail(self, node: int, partner: float) -> str:
-        return f"{self.array} node {int(node)} on matrix node {int(partner)}"
+        return f"{self.array} node {node} on matrix node {int(partner)}"
 
     def stiffness(self, s: Configuration) -> tuple[Stiffness, ...]:
         """1.5 kappa n on the cell, 3 on the matrix: diag(1.5, 3) >= [[1, -1], [-1, 1]].

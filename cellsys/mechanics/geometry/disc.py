@@ -69,7 +69,7 @@ def disc_nodes(
         depth = -thickness * rng.uniform(0, 1, batch)
         darts = np.column_stack([r * np.cos(angle), r * np.sin(angle), depth])
         if len(x):
-            darts = darts[cKDTree(x).query(darts)[0] >= least]
+            darts = darts[np.asarray(cKDTree(x).query(darts)[0]) >= least]
         # Among darts of one batch the earlier one stands.
         standing = np.ones(len(darts), bool)
         pairs = cKDTree(darts).query_pairs(least, output_type="ndarray") if len(darts) else ()
@@ -84,7 +84,7 @@ def connect(x: np.ndarray, coordination: float) -> np.ndarray:
     """The n z / 2 shortest node pairs, plus the three nearest of every node (no free ends)."""
     n_fibres = round(0.5 * coordination * len(x))
     tree = cKDTree(x)
-    spacing = float(np.median(tree.query(x, k=2)[0][:, 1]))
+    spacing = float(np.median(np.asarray(tree.query(x, k=2)[0])[:, 1]))
     reach = 1.2 * spacing
     while True:
         pairs = tree.query_pairs(reach, output_type="ndarray")
@@ -93,7 +93,7 @@ def connect(x: np.ndarray, coordination: float) -> np.ndarray:
         reach *= 1.1
     d = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1)
     pairs = pairs[np.argsort(d, kind="stable")[:n_fibres]]
-    near = tree.query(x, k=4)[1][:, 1:]
+    near = np.asarray(tree.query(x, k=4)[1])[:, 1:]
     extra = np.column_stack([np.repeat(np.arange(len(x)), 3), near.ravel()])
     return np.unique(np.sort(np.concatenate([pairs, extra]), axis=1), axis=0).astype(np.int64)
 

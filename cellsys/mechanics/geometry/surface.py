@@ -282,7 +282,7 @@ def _near(a: Surface, b: Surface) -> tuple[np.ndarray, np.ndarray, np.ndarray, f
 
     And the squared distance of the two closest nodes, which is no less.
     """
-    best = float(cKDTree(b.x).query(a.x)[0].min())
+    best = float(np.min(cKDTree(b.x).query(a.x)[0]))
     (middle_a, size_a), (middle_b, size_b) = a._pieces, b._pieces
     reach = best + float(size_a.max() + size_b.max())
     near = cKDTree(middle_a).sparse_distance_matrix(
