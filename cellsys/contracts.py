@@ -68,13 +68,26 @@ Integrator = Annotated[
 class ReducedModel(Protocol):
     """A reduced model, made by cs.reduce(data, order=...)."""
 
-    order: int
-    dt: float | None
-    input_names: tuple[str, ...]
-    z_start: np.ndarray | None
-    sensor: Any
-    card: Any
-    notes: Mapping[str, Any]
+    @property
+    def order(self) -> int: ...
+
+    @property
+    def dt(self) -> float | None: ...
+
+    @property
+    def input_names(self) -> tuple[str, ...]: ...
+
+    @property
+    def z_start(self) -> np.ndarray | None: ...
+
+    @property
+    def sensor(self) -> Any: ...
+
+    @property
+    def card(self) -> Any: ...
+
+    @property
+    def notes(self) -> Mapping[str, Any]: ...
 
     def encode(self, x: np.ndarray, eta: np.ndarray | None = None) -> np.ndarray:
         """Latent states of samples."""
@@ -111,9 +124,14 @@ class LinearModel(ReducedModel, Protocol):
     follows a clock.
     """
 
-    A: np.ndarray
-    B: np.ndarray
-    offset: np.ndarray
+    @property
+    def A(self) -> np.ndarray: ...
+
+    @property
+    def B(self) -> np.ndarray: ...
+
+    @property
+    def offset(self) -> np.ndarray: ...
 
     def continuous_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(A_c, B_c, b_c) of z' = A_c z + B_c c + b_c."""
@@ -154,11 +172,20 @@ class ChoosesOrder(Reductor, Protocol):
 class MatrixField(Protocol):
     """A matrix field such as cs.GalerkinField(system) or cs.full_field(system)."""
 
-    order: int
-    drag: float
-    stiffness: Any
-    nodes: np.ndarray
-    surface: np.ndarray
+    @property
+    def order(self) -> int: ...
+
+    @property
+    def drag(self) -> float: ...
+
+    @property
+    def stiffness(self) -> Any: ...
+
+    @property
+    def nodes(self) -> np.ndarray: ...
+
+    @property
+    def surface(self) -> np.ndarray: ...
 
     def project(self, f: np.ndarray) -> np.ndarray:
         """Nodal loads (..., n, 3) as loads on the field's coordinates (..., order)."""
@@ -170,7 +197,8 @@ class MatrixField(Protocol):
 class LoadPort(Protocol):
     """A load port such as cs.PatchPort()."""
 
-    n_loads: int
+    @property
+    def n_loads(self) -> int: ...
 
     def gather(self, field: MatrixField, position: np.ndarray, heading: float) -> np.ndarray:
         """E (n_loads, order): what the port reads of the field's coordinates."""
@@ -251,8 +279,11 @@ class PortedCell(Protocol):
 class Cells(Protocol):
     """Coupled cells, made by cs.couple(model, n_cells)."""
 
-    n_cells: int
-    order: int
+    @property
+    def n_cells(self) -> int: ...
+
+    @property
+    def order(self) -> int: ...
 
     def poles(self) -> np.ndarray:
         """Every pole, 1/s."""

@@ -177,6 +177,13 @@ class Trajectory(Drawable):
             raise DataError("this trajectory was recorded without its auxiliaries")
         return self.auxiliaries.view(np.asarray(self.eta), name)
 
+    @property
+    def polarities(self) -> np.ndarray:
+        """`p` (T, cells, 3) of a run that has it; DataError where no cell has a polarity."""
+        if self.p is None:
+            raise DataError("this trajectory has no polarity; run cells that are steered")
+        return self.p
+
     def stride(self, step: float) -> int:
         """Samples per `step` s, for ``run.x[::run.stride(model.dt)]``.
 

@@ -79,8 +79,11 @@ def check_budget(
             began = clock.perf_counter()
             error = held_out_error(setup, setting, problem, truth, found.measure)
             rows.append((clock.perf_counter() - began, error, setup, setting))
-    made = [r for r in rows if r[2].make is not None]
-    mine = [r for r in made if uncapped(r[2].make(r[3])) == found.integrator]
+    mine = [
+        r
+        for r in rows
+        if (make := r[2].make) is not None and uncapped(make(r[3])) == found.integrator
+    ]
     if not found or not mine:
         raise ParameterError(
             f"the budget's setting {found.integrator!r} is not among the settings searched"

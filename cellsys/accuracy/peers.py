@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -11,11 +11,12 @@ from cellsys.accuracy.setups import CostProblem, Setup
 from cellsys.arguments import checked
 from cellsys.errors import IntegrationError
 
+Method = Literal["RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA"]
 Rhs = Callable[[float, np.ndarray], np.ndarray]
 
 
 @checked
-def solve_ivp_peer(method: str, tolerances: Sequence[float], rhs: Rhs | None = None) -> Setup:
+def solve_ivp_peer(method: Method, tolerances: Sequence[float], rhs: Rhs | None = None) -> Setup:
     """scipy's `solve_ivp` by one of its methods; `rhs` replaces the system's own.
 
     Raises (when solved)

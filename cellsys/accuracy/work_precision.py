@@ -15,6 +15,7 @@ import platform
 import time as clock
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -221,15 +222,12 @@ def _point(
 
 def footer(seed: int) -> dict[str, Any]:
     """Machine, versions and seed."""
-    import casadi
-    import scipy
-
     return {
         "machine": f"{platform.machine()} {platform.system()}, {os.cpu_count()} cores",
         "python": platform.python_version(),
         "numpy": np.__version__,
-        "scipy": scipy.__version__,
-        "casadi": casadi.__version__,
+        "scipy": version("scipy"),
+        "casadi": version("casadi"),
         "threads": os.environ.get("OMP_NUM_THREADS", "default"),
         "seed": seed,
     }

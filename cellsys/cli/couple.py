@@ -12,7 +12,9 @@ from cellsys.cli.models import load_model, verdict_line
 from cellsys.cli.output import show
 
 if TYPE_CHECKING:
-    from cellsys.population import CoupledCells
+    from cellsys.contracts import Cells
+    from cellsys.model.affine import AffineModel
+    from cellsys.population.request import Coupling
 
 _FORMS = ("superposition", "mapped", "feedback")
 
@@ -43,8 +45,8 @@ def couple(
 
 
 def _couple(
-    model: Any, n_cells: int, form: str, map_file: str | None, rank_tol: float | None
-) -> CoupledCells:
+    model: AffineModel, n_cells: int, form: str, map_file: str | None, rank_tol: float | None
+) -> Cells:
     import numpy as np
 
     from cellsys import population
@@ -56,7 +58,8 @@ def _couple(
         raise ParameterError(f"--form must be one of {', '.join(_FORMS)}, got {form!r}")
     if (form == "mapped") != (map_file is not None):
         raise ParameterError("--form mapped needs --map FILE.npy, and the others take none")
-    if form == "mapped":
+    coupling: Coupling
+    if map_file is not None:
         try:
             with open_regular(Path(map_file)) as file:
                 P_map = np.load(file, allow_pickle=False)

@@ -8,9 +8,10 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
+from typing import TextIO
 
 from cellsys.cli.output import say
 
@@ -18,6 +19,7 @@ from cellsys.cli.output import say
 CODES = {signal.SIGINT: 1, signal.SIGTERM: 128 + signal.SIGTERM}
 if hasattr(signal, "SIGHUP"):
     CODES[signal.SIGHUP] = 128 + signal.SIGHUP
+_Handler = Callable[[int, FrameType | None], object] | int | signal.Handlers | None
 GRACE = 8.0  # s from the signal to the end, whatever is still running
 
 
@@ -40,7 +42,7 @@ class Signals:
 
     def __init__(self) -> None:
         self.received: int | None = None
-        self._before: dict[int, object] = {}
+        self._before: dict[int, _Handler] = {}
         self._pipe: tuple[int, int] | None = None
         self._wakeup = -1
 
@@ -128,7 +130,7 @@ def told_in_one_line() -> Iterator[None]:
             category: type[Warning],
             filename: str,
             lineno: int,
-            file: object = None,
+            file: TextIO | None = None,
             line: str | None = None,
         ) -> None:
             if issubclass(category, (DamagedRunWarning, ForeignRunWarning)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,7 +11,7 @@ from cellsys.cli.console import Json, ModelFile, app, dump
 from cellsys.cli.output import show
 
 if TYPE_CHECKING:
-    from cellsys.model import LatentModel
+    from cellsys.model.affine import AffineModel
 
 
 @app.command()
@@ -49,7 +49,7 @@ def reduce(
     show(f"written: {path}")
 
 
-def load_model(path: Path) -> LatentModel:
+def load_model(path: Path) -> AffineModel:
     """The model in a file that cellsys wrote."""
     from cellsys.model import LatentModel
 
@@ -66,15 +66,15 @@ def poles(model: ModelFile, as_json: Json = False) -> None:
     loaded = load_model(model)
     plant = plant_of(loaded)
     table = damping(plant, certainty=loaded.certainty(discrete=plant.dt > 0))
-    labelled = loaded.labelled_poles() if isinstance(loaded, EquivariantModel) else []
+    labelled = loaded.labelled_poles() if isinstance(loaded, EquivariantModel) else ()
     if as_json:
-        result = {
+        result: dict[str, Any] = {
             "poles": [[p.real, p.imag] for p in table.poles],
             "error_bounds": table.error_bound.tolist(),
             "bounds": table.poles.note or "rounding",
             "verdict": verdict_line(loaded),
         }
-        if labelled:
+        if isinstance(loaded, EquivariantModel):
             result["charges"] = [[p.value.real, p.value.imag, p.charge] for p in labelled]
         dump(result)
         return
@@ -88,7 +88,7 @@ def poles(model: ModelFile, as_json: Json = False) -> None:
     show(verdict_line(loaded))
 
 
-def verdict_line(model: LatentModel) -> str:
+def verdict_line(model: AffineModel) -> str:
     """What the model is worth, by its card, in one line."""
     return f"verdict: {model.card.verdict if model.card else 'no card: never measured on data.'}"
 
@@ -132,7 +132,7 @@ def bode(
 
 
 def _bode_along(
-    model: LatentModel, at: str, horizon: float, out: Path | None, as_json: bool
+    model: AffineModel, at: str, horizon: float, out: Path | None, as_json: bool
 ) -> None:
     """Margins and Bode plot of a scheduled loop frozen at several times."""
     from cellsys.cell import EquivariantModel

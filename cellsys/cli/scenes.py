@@ -76,10 +76,11 @@ def _within(scene: Path, error: float) -> Scene:
     plan = load_scene(scene)
     plan.matrix_kind.refuse(plan, "step")
     found = budget(plan, error=error, setups=[by_step(LinearlyImplicit, STEPS)])
-    if not found:
+    best = found.integrator
+    if not isinstance(best, LinearlyImplicit):
         raise ParameterError(str(found))
     note(found)
-    return dataclasses.replace(plan, step=found.integrator.step)
+    return dataclasses.replace(plan, step=best.step)
 
 
 @app.command()

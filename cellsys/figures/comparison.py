@@ -32,7 +32,7 @@ def comparison(result: Any, ax: Any = None) -> Any:
     styles = ("-", "--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)))
     for k, (name, value) in enumerate(result.baselines.items()):
         ax.axhline(value, color="0.5", ls=styles[k % len(styles)], lw=1, label=name)
-    orders = sorted({r.order for r in result.rows})
+    ticks = sorted({r.order for r in result.rows})
     ax.set(
         xscale="log",
         yscale="log",
@@ -40,7 +40,7 @@ def comparison(result: Any, ax: Any = None) -> Any:
         ylabel=f"held-out error on {result.block} / their motion",
         title=f"x: beyond {top:.2g} or diverges",
     )
-    ax.set_xticks(orders, [str(m) for m in orders])
+    ax.set_xticks(ticks, [str(m) for m in ticks])
     ax.minorticks_off()
     ax.legend(fontsize="x-small", ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.15))
     ax.grid(alpha=0.3)

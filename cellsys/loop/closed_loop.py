@@ -22,6 +22,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import scipy.linalg as sla
+import scipy.sparse as sp
 
 from cellsys.arguments import checked
 from cellsys.contracts import Integrator, LinearModel
@@ -36,7 +37,7 @@ from cellsys.loop.loop_system import ClosedLoopSystem, model_error, semilinear_o
 from cellsys.loop.modal import set_apart_text, split_slow
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.model.sensor import StiffnessSensor
-from cellsys.samples.commands import harmonic
+from cellsys.samples.commands import feature_of
 from cellsys.state_space import state_space
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
@@ -127,7 +128,7 @@ class ClosedLoop:
 
     def commands(self, p: Any) -> Any:
         """Inputs c(p) of the model, numpy or CasADi."""
-        parts = [harmonic(name) for name in self.model.input_names]
+        parts = [feature_of(name) for name in self.model.input_names]
         values = heading_features(p, max((q for _, q, _ in parts), default=1) or 1)
         chosen = [
             1.0 if kind == "amplitude" else values[2 * (q - 1) + (kind == "sin")]
@@ -168,7 +169,7 @@ class ClosedLoop:
         system = ClosedLoopSystem(
             states=Layout([Block("z", (m,)), Block("p", (3,), "1", "controller", "internal")]),
             x0=np.concatenate([self.z0, self.p0]),
-            W_x=W,
+            W_x=sp.csr_array(W),
             forcing=numeric,
         )
         object.__setattr__(system, "loop", self)
@@ -246,7 +247,7 @@ class ClosedLoop:
         """dc/dtheta (n_c,) at heading theta of p."""
         theta, slope = np.arctan2(p[1], p[0]), []
         for name in self.model.input_names:
-            kind, q, _ = harmonic(name)
+            kind, q, _ = feature_of(name)
             turned = {"cos": -np.sin(q * theta), "sin": np.cos(q * theta)}
             slope.append(q * turned.get(kind, 0.0))
         return np.array(slope)

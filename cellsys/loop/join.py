@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,12 +18,43 @@ from cellsys.loop.closed_loop import ClosedLoop, check_point
 from cellsys.loop.loop_system import LoopCopies
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.loop.scheduled import ScheduledLoop
+from cellsys.model.latent import LatentModel
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.samples.commands import harmonic
 from cellsys.system import Block, Layout
 from cellsys.units import shaped_array
 
 
+@overload
+def closed_loop(
+    model: EquivariantModel,
+    *,
+    controller: PolarityLaw | None = None,
+    sensor: StiffnessSensor | None = None,
+    normalise: bool = True,
+    z0: np.ndarray | None = None,
+    p0: np.ndarray | None = None,
+) -> ScheduledLoop: ...
+@overload
+def closed_loop(
+    model: LatentModel,
+    *,
+    controller: PolarityLaw | None = None,
+    sensor: StiffnessSensor | None = None,
+    normalise: bool = True,
+    z0: np.ndarray | None = None,
+    p0: np.ndarray | None = None,
+) -> ClosedLoop: ...
+@overload
+def closed_loop(
+    model: LinearModel,
+    *,
+    controller: PolarityLaw | None = None,
+    sensor: StiffnessSensor | None = None,
+    normalise: bool = True,
+    z0: np.ndarray | None = None,
+    p0: np.ndarray | None = None,
+) -> ClosedLoop | ScheduledLoop: ...
 @checked
 def closed_loop(
     model: LinearModel,
@@ -108,7 +139,7 @@ def loop_copies(loop: ClosedLoop, z0: np.ndarray, p0: np.ndarray) -> LoopCopies:
     system = LoopCopies(
         states=Layout([Block("z", (K, m)), Block("p", (K, 3), "1", "controller", "internal")]),
         x0=np.concatenate([z0.ravel(), p0.ravel()]),
-        W_x=sp.block_diag([*[A] * K, sp.csr_array((3 * K, 3 * K))], format="csr"),
+        W_x=sp.csr_array(sp.block_diag([*[A] * K, sp.csr_array((3 * K, 3 * K))], format="csr")),
     )
     system.__dict__["loop"], system.__dict__["cells"] = loop, K
     return system
@@ -134,7 +165,7 @@ def parametric_loop(loop: ClosedLoop) -> ParametricSystem:
     return ParametricSystem(
         states=loop.system.states,
         x0=loop.system.x0,
-        W_x=W,
+        W_x=sp.csr_array(W),
         rate=rate,
         parameters={"kappa": loop.controller.kappa, "force": 1.0},
     )

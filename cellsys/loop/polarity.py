@@ -102,11 +102,10 @@ class PolarityLaw:
         p, d = self._vectors(p, d)
         if not (np.all(np.isfinite(p)) and np.all(np.isfinite(d))):
             raise DataError(f"p or d is not finite: {p}, {d}")
-        dt = real_array(dt, "dt")
-        if dt.shape or not np.isfinite(dt):
-            raise DataError(f"dt is not finite, or not one number: {dt!r}")
-        dt = float(dt)
-        return exact_step(self._off_antipode(p, d), d, self.kappa, dt)
+        step = real_array(dt, "dt")
+        if step.shape or not np.isfinite(step):
+            raise DataError(f"dt is not finite, or not one number: {step!r}")
+        return exact_step(self._off_antipode(p, d), d, self.kappa, float(step))
 
     def _off_antipode(self, p: np.ndarray, d: np.ndarray) -> np.ndarray:
         if isinstance(self.antiparallel, AntiparallelStay):

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.errors import ParameterError
+from cellsys.contracts import ReducedModel
+from cellsys.errors import DataError, ParameterError
 from cellsys.kinds import shown
 from cellsys.printable import printable
 from cellsys.shown import Shown
@@ -113,6 +114,19 @@ class Card(Shown):
         lines += [f"warning: {text}" for text in self.warnings]
         lines.append(f"verdict: {self.verdict}")
         return printable("\n".join(lines))
+
+
+def card_of(model: ReducedModel) -> Card:
+    """The card of a model that has one.
+
+    Raises
+    ------
+    DataError
+        A model that was never measured on data.
+    """
+    if not isinstance(model.card, Card):
+        raise DataError("this model has no card; cs.reduce makes a model with one")
+    return model.card
 
 
 _SPAN = (-float(np.finfo(float).max), float(np.finfo(float).max))

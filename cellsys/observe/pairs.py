@@ -242,20 +242,20 @@ def attenuation_length(
             f"{outer:.3g} um from it: no ring lies between; read a cell farther from the rim"
         )
     edges = np.linspace(inner, outer, bins + 1)
-    radius, rms, errors = [], [], run.errors_of("matrix.displacement")
+    middles, moved, errors = [], [], run.errors_of("matrix.displacement")
     for low, high in pairwise(edges):
         ring = (away >= low) & (away < high)
         value = float(np.sqrt(np.mean(u[ring] ** 2))) if ring.any() else 0.0
         error = float(np.sqrt(np.mean(errors[ring] ** 2))) if ring.any() else 0.0
         if value > error:
-            radius.append(0.5 * (low + high))
-            rms.append(value)
-    if len(radius) < 3:
+            middles.append(0.5 * (low + high))
+            moved.append(value)
+    if len(middles) < 3:
         raise DataError(
-            f"only {len(radius)} rings of the matrix move by more than the error of the run at "
+            f"only {len(middles)} rings of the matrix move by more than the error of the run at "
             f"t = {run.t[sample]:g} s; no decay can be fitted"
         )
-    radius, rms = np.array(radius), np.array(rms)
+    radius, rms = np.array(middles), np.array(moved)
     slope, level = np.polyfit(radius, np.log(rms), 1)
     if not slope < 0:
         raise DataError("the displacement does not fall with the distance from the cell")

@@ -57,7 +57,8 @@ class CouplingRequest:
 class Coupling(Protocol):
     """A coupling such as cs.Superposition(), cs.Feedback() or cs.LoadPorts(field, positions)."""
 
-    name: str
+    @property
+    def name(self) -> str: ...
 
     def join(self, request: CouplingRequest) -> Cells:
         """The coupled cells, or a refusal of what this coupling cannot take."""

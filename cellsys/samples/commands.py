@@ -49,9 +49,17 @@ def harmonic(name: str) -> tuple[str, int, int] | None:
     return kind, int(order or 1), {"unit_": 0, None: 1, "squared_": 2}[weight]
 
 
+def feature_of(name: str) -> tuple[str, int, int]:
+    """`harmonic` of a name that is one; DataError for another."""
+    found = harmonic(name)
+    if found is None:
+        raise DataError(f"{name!r} is no heading feature such as amplitude, cos or sin2")
+    return found
+
+
 def harmonic_value(name: str, amplitude: Any, theta: Any) -> Any:
     """Value of a feature for an amplitude and a heading theta, rad (arrays alike)."""
-    kind, q, power = harmonic(name)
+    kind, q, power = feature_of(name)
     if kind == "amplitude":
         return amplitude**power
     return amplitude**power * (np.cos(q * theta) if kind == "cos" else np.sin(q * theta))

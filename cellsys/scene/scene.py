@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from cellsys.scene.registry import source_of
 from cellsys.scene.sampling import intervals
 from cellsys.store.hashing import fingerprint
 
+E = TypeVar("E", bound=Effect)
 _MOST_SAMPLES = 1e7  # their times alone are 80 MB, their states of any scene beyond every memory
 
 
@@ -71,6 +72,10 @@ class Scene:
             f"effects: {effects}"
         )
         return textwrap.fill(text, 100, subsequent_indent="    ")
+
+    def find(self, kind: type[E]) -> E | None:
+        """The scene's effect of this class, if there is one."""
+        return next((e for e in self.effects.values() if isinstance(e, kind)), None)
 
     @staticmethod
     def parse(

@@ -6,15 +6,19 @@ can be called.
 
 import sys
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cellsys.study.run import StudyResult, study
+
+if TYPE_CHECKING:
+    from cellsys.study.cells import CellsStudy
+    from cellsys.study.crawler import CrawlerStudy
 
 __all__ = ["StudyResult", "study"]
 
 
 class _CallableModule(ModuleType):
-    def __call__(self, *args: Any, **options: Any) -> StudyResult:
+    def __call__(self, *args: Any, **options: Any) -> StudyResult | CrawlerStudy | CellsStudy:
         return study(*args, **options)
 
 

@@ -15,7 +15,7 @@ from cellsys.reduction.basis import LatentParts, fit_basis
 from cellsys.samples import Snapshots
 from cellsys.store import fingerprint, load_archive, save_archive
 from cellsys.version import __version__
-from cellsys.worth.assessment import Encoded, encode_all
+from cellsys.worth.assessment import Encoded
 
 _KIND = "coordinates"
 
@@ -55,7 +55,7 @@ def learn_coordinates(data: Snapshots, test: Snapshots, order: int, path: Path) 
         scale=basis.scale,
         n_states=data.states.size,
     )
-    encoded = encode_all(large, data, test)
+    encoded = Encoded.of(large, data, data), Encoded.of(large, test, data)
     arrays = {
         "V": basis.V,
         "singular_values": basis.singular_values,
@@ -84,7 +84,10 @@ def _unpack(arrays: dict, meta: dict, data: Snapshots) -> Coordinates:
         meta["dropped"],
     )
     parts = LatentParts(
-        *(arrays[k] for k in ("x_now", "x_next", "eta_now", "eta_next")),
+        arrays["x_now"],
+        arrays["x_next"],
+        arrays["eta_now"],
+        arrays["eta_next"],
         data.run_ids,
         np.concatenate([r.usable() for r in data.runs]),
         data,

@@ -13,8 +13,10 @@ from cellsys.cell import Equivariant, EquivariantModel, with_matrix
 from cellsys.cell.records import read_records
 from cellsys.errors import CellsysError, FileFormatError, LostRunError, RankError, SceneError
 from cellsys.field import GalerkinField
-from cellsys.loop import PolarityLaw, closed_loop
+from cellsys.loop import PolarityLaw, ScheduledLoop, closed_loop
+from cellsys.mechanics.effects.steering import Polarity
 from cellsys.model import LatentModel
+from cellsys.model.card import card_of
 from cellsys.observe import heading_error_deg
 from cellsys.response import margins
 from cellsys.samples import Snapshots, snapshots
@@ -54,7 +56,7 @@ class EquivariantStudy:
         """The same with floors on the model's card."""
         if self.model is None:
             return self
-        card = replace(self.model.card, floors=floors)
+        card = replace(card_of(self.model), floors=floors)
         model = replace(self.model, card=card)
         return replace(self, model=model, table=self.table | {"card": card.table()})
 
@@ -62,12 +64,10 @@ class EquivariantStudy:
         """For a terminal."""
         if self.model is None:
             return [f"no equivariant model: {self.why_not}"]
-        out = [f"equivariant model: {self.model.card.verdict}"]
+        out = [f"equivariant model: {card_of(self.model).verdict}"]
         slow = [p for p in self.model.labelled_poles() if p.value.real > -0.02][:6]
-        out += [
-            f"  charge {p.charge}: {p.value.real: .3e} {p.value.imag:+.3e}j 1/s" for p in slow
-        ]
-        out += [f"  warning: {text}" for text in self.model.card.warnings]
+        out += [f"  charge {p.charge}: {p.value.real: .3e} {p.value.imag:+.3e}j 1/s" for p in slow]
+        out += [f"  warning: {text}" for text in card_of(self.model).warnings]
         if self.heading_error:
             out.append(
                 f"  its polarity loop: heading {self.heading_error['rms']:.1f} deg rms from the "
@@ -89,7 +89,7 @@ def study_equivariant(
     run, gap, loop_table = _loop(scene, model, main)
     table = {
         "why_not": None,
-        "card": model.card.table(),
+        "card": card_of(model).table(),
         "poles": [
             {"real": p.value.real, "imag": p.value.imag, "charge": p.charge}
             for p in model.labelled_poles()
@@ -106,17 +106,18 @@ def _learned(scene: Scene, data: Snapshots, test: Snapshots, kept: Path) -> Equi
     key = fingerprint([data_hash(data), data_hash(test), repr(method), order], __version__)
     if kept.exists():
         try:
-            model = LatentModel.load(kept)
+            known = LatentModel.load(kept)
         except FileFormatError:
-            model = None  # written by another version, or damaged: learn it again
-        if model is not None and model.notes.get("key") == key:
-            return model
+            known = None  # written by another version, or damaged: learn it again
+        if isinstance(known, EquivariantModel) and known.notes.get("key") == key:
+            return known
     model = method.fit(data, order, test=test)
     try:
         model = with_matrix(model, GalerkinField(build(scene)), test, data)
     except (SceneError, RankError) as error:
-        warned = (*model.card.warnings, f"matrix not measured: {error}")
-        model = replace(model, card=replace(model.card, warnings=warned))
+        card = card_of(model)
+        warned = (*card.warnings, f"matrix not measured: {error}")
+        model = replace(model, card=replace(card, warnings=warned))
     model = replace(model, notes={**model.notes, "key": key})
     model.save(kept)
     return model
@@ -129,45 +130,47 @@ def sweep_row(model: EquivariantModel, steps: int) -> OrderRow:
         began = time.perf_counter()
         model.simulate_commands(model.z_start, np.ones(steps), np.zeros(steps))
         times.append(time.perf_counter() - began)
-    row = model.card.held_out["cells"]
+    card = card_of(model)
+    row = card.held_out["cells"]
     return OrderRow(
         "Equivariant",
         model.order,
         {"cells": row["model"]},
         {"cells": row["floor"]},
         {"cells": {k: row[k] for k in ("nothing moves", "mean velocity", "mean motion")}},
-        model.card.spectral_abscissa,
+        card.spectral_abscissa,
         1e3 * min(times[1:]),
-        model.card.verdict,
+        card.verdict,
     )
 
 
 def _loop(
     scene: Scene, model: EquivariantModel, main: Trajectory
 ) -> tuple[Trajectory | None, dict[str, float], dict[str, Any]]:
-    if "polarity" not in scene.effects:
+    polarity = scene.find(Polarity)
+    if polarity is None:
         return None, {}, {"why_not": "the scene has no polarity effect"}
     try:
         port = model.representation.port
         record = read_records(snapshots([main]), model.dt, port, model.sites)[0]
         loop = closed_loop(
             model,
-            controller=PolarityLaw(kappa=scene.effects["polarity"].kappa),
+            controller=PolarityLaw(kappa=polarity.kappa),
             z0=model.encode_cell(record.nodes[:1], record.loads[:1])[0],
-            p0=np.asarray(main.p[0, 0]),
+            p0=np.asarray(main.polarities[0, 0]),
         )
         t = model.dt * np.arange(record.steps + 1)
         run = loop.simulate(t)
     except CellsysError as error:
         return None, {}, {"why_not": str(error)}
     every = main.stride(model.dt)
-    true = np.asarray(main.p)[: len(t) * every : every, 0][: len(t)]
-    angle = heading_error_deg(run.p[:, 0], true)
+    true = np.asarray(main.polarities)[: len(t) * every : every, 0][: len(t)]
+    angle = heading_error_deg(run.polarities[:, 0], true)
     gap = {"rms": float(np.sqrt(np.mean(angle**2))), "end": float(angle[-1])}
     return run, gap, {"heading_error_deg": gap, **_margins(loop)}
 
 
-def _margins(loop: Any) -> dict[str, Any]:
+def _margins(loop: ScheduledLoop) -> dict[str, Any]:
     try:
         point = loop.linearize(slower_than=1.0 / loop.model.horizon)
         found = margins(loop.open_loop(point))

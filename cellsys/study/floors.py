@@ -40,8 +40,8 @@ def measured_floors(
     }
     if model is not None:
         port = model.representation.port
-        pair = [read_records(snapshots([r]), model.dt, port)[0] for r in (held, runs[-1])]
-        floor = realisation_floor(model, [tuple(pair)])
+        first, again = (read_records(snapshots([r]), model.dt, port)[0] for r in (held, runs[-1]))
+        floor = realisation_floor(model, [(first, again)])
         out["realisation, cells"] = floor["cells"]
         out["realisation, loads"] = floor["loads"]
     return out

@@ -9,10 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cellsys.contracts import LinearModel
+from cellsys.contracts import ReducedModel
 from cellsys.drawable import Drawable
 from cellsys.errors import IntegrationError
-from cellsys.model import LatentModel
 from cellsys.reduction import reduce_orders
 from cellsys.response import Margins
 from cellsys.samples import Snapshots
@@ -73,9 +72,10 @@ def sweep_orders(
     orders: Sequence[int],
     full_order_s: float,
     progress: Callable[[float], None] | None = None,
-) -> tuple[OrderSweep, dict[tuple[str, int], LatentModel]]:
+) -> tuple[OrderSweep, dict[tuple[str, int], ReducedModel]]:
     """Fit every method at every order; errors are held out, times the minimum of 3 roll-outs."""
-    rows, models = [], {}
+    rows: list[OrderRow] = []
+    models: dict[tuple[str, int], ReducedModel] = {}
     total = len(methods) * len(orders)
     for model, (name, order) in zip(
         reduce_orders(data, methods, orders, test, *coordinates),
@@ -105,7 +105,7 @@ def sweep_orders(
     return OrderSweep(tuple(rows), full_order_s, horizon), models
 
 
-def _price(model: LinearModel, test: Snapshots) -> float:
+def _price(model: ReducedModel, test: Snapshots) -> float:
     """Seconds of one latent roll-out over the first held-out run, minimum of 3 after one.
 
     NaN where the roll-out diverges.

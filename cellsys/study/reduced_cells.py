@@ -9,12 +9,17 @@ import numpy as np
 
 from cellsys.accuracy.measures import motion, relative
 from cellsys.cell import EquivariantModel
+from cellsys.contracts import LinearModel
 from cellsys.errors import ParameterError
 from cellsys.field import full_field
 from cellsys.loop import PolarityLaw
+from cellsys.mechanics.commands import Commands
+from cellsys.mechanics.effects.steering import Polarity, StiffnessSensing
+from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.observe import heading_error_deg
 from cellsys.population import FieldSensor, LoadPorts, couple
 from cellsys.scene import Scene
+from cellsys.scene.parts import CellScene
 from cellsys.shown import Shown
 from cellsys.trajectory import Trajectory, cell_names
 
@@ -75,8 +80,8 @@ class ReducedCells(Shown):
         return "\n".join([*lines, *(f"  {e.time:g} s: {e.detail}" for e in self.latent.events)])
 
 
-def check_model(scene: Scene, model: Any) -> None:
-    """Whether copies of the model can run beside this scene; asked before anything is run.
+def check_model(scene: Scene, model: LinearModel) -> EquivariantModel:
+    """The model, of which copies can run beside this scene; asked before anything is run.
 
     Raises
     ------
@@ -98,12 +103,13 @@ def check_model(scene: Scene, model: Any) -> None:
             f"the scene is sampled every {sample:g} s, which does not divide the model's step of "
             f"{model.dt:g} s; set sample = '{model.dt:g} s'"
         )
+    return model
 
 
 def reduced_cells(
     scene: Scene,
-    system: Any,
-    model: Any,
+    system: SpreadingSystem,
+    model: LinearModel,
     run: Trajectory,
     alone: list[Trajectory],
 ) -> ReducedCells:
@@ -125,16 +131,17 @@ def reduced_cells(
     ParameterError
         As `check_model`.
     """
-    check_model(scene, model)
-    marks = np.arange(0, len(run), run.stride(model.dt))
+    copied = check_model(scene, model)
+    marks = np.arange(0, len(run), run.stride(copied.dt))
     places = np.array([c.position for c in scene.cells])
     headings = np.array([c.polarity for c in scene.cells])
     commanded = any(_commands(scene, c).heading for c in scene.cells)
     steered = "polarity" in scene.effects and not commanded
-    law = PolarityLaw(kappa=scene.effects["polarity"].kappa) if steered else None
-    sensor = FieldSensor.of(scene.effects["stiffness_sensing"]) if steered else None
+    polarity, sensing = scene.find(Polarity), scene.find(StiffnessSensing)
+    law = PolarityLaw(kappa=polarity.kappa) if steered and polarity is not None else None
+    sensor = FieldSensor.of(sensing) if steered and sensing is not None else None
     cells = couple(
-        model,
+        copied,
         coupling=LoadPorts(full_field(system), places, headings),
         controller=law,
         sensor=sensor,
@@ -145,7 +152,7 @@ def reduced_cells(
     return _compared(cells.in_nodes(found), found, run, marks, alone, steered)
 
 
-def _commands(scene: Scene, cell: Any) -> Any:
+def _commands(scene: Scene, cell: CellScene) -> Commands:
     return cell.commands or scene.commands
 
 
@@ -170,7 +177,7 @@ def _compared(
 ) -> ReducedCells:
     names = [f"{name}.position" for name in cell_names(small.states)]
 
-    def cells(r: Trajectory, rows: Any) -> np.ndarray:
+    def cells(r: Trajectory, rows: np.ndarray | slice) -> np.ndarray:
         return np.concatenate([r.block(n)[rows] for n in names], axis=1)
 
     u = run.block(MATRIX)[marks]

@@ -84,7 +84,7 @@ def _error(value: float) -> str:
 
 def _lasts(rate: float, bound: float) -> str:
     """Time constant of a pole, s; in words where its sign is that of a growth, or not known."""
-    where = int(side(np.float64(rate), np.float64(bound)))
+    where = int(side(np.asarray(rate), np.asarray(bound)))
     return {-1: short(-1.0 / rate) if rate else "", 1: "grows"}.get(where, "not decided")
 
 

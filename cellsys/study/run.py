@@ -12,12 +12,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import LinearModel
+from cellsys.contracts import LinearModel, ReducedModel
 from cellsys.errors import CellsysError, ParameterError, RankError
 from cellsys.integrate import CVODES
 from cellsys.loop import ClosedLoop, Linearisation, PolarityLaw, closed_loop
 from cellsys.mechanics.crawler import Crawler
+from cellsys.mechanics.effects.steering import Polarity
+from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.model import LatentModel
+from cellsys.model.affine import AffineModel
+from cellsys.model.card import card_of
 from cellsys.observe import heading_error_deg, summary_of_run
 from cellsys.reduction import PCR, LeastSquares
 from cellsys.reduction.basis import check_order
@@ -51,7 +55,7 @@ class StudyResult(Shown):
     ----------
     run : Trajectory
         The scene itself, full-order.
-    models : mapping of (method, order) to LatentModel
+    models : mapping of (method, order) to ReducedModel
     model : LatentModel
         The plant of the loop: PCR at the order of the Bode plot.
     sweep : OrderSweep
@@ -68,8 +72,8 @@ class StudyResult(Shown):
 
     scene: Scene
     run: Trajectory
-    models: Mapping[tuple[str, int], LatentModel]
-    model: LinearModel
+    models: Mapping[tuple[str, int], ReducedModel]
+    model: LatentModel
     sweep: OrderSweep
     poles: RootSet
     loop: ClosedLoop | None
@@ -216,7 +220,7 @@ def study(
         sweep = dataclasses.replace(sweep, rows=(*sweep.rows, row))
     floors = measured_floors(tested[0], near, charges.model)
     charges = charges.with_floors(floors)
-    plant = dataclasses.replace(plant, card=dataclasses.replace(plant.card, floors=floors))
+    plant = dataclasses.replace(plant, card=dataclasses.replace(card_of(plant), floors=floors))
     say("equivariant", 1.0)
 
     system = build(scene)
@@ -226,16 +230,16 @@ def study(
     }
     whole = plant_of(plant)
     plant_report = stability(whole, certainty=plant.certainty(discrete=whole.dt > 0))
-    trust = f"PCR: {plant.card.verdict}"
+    trust = f"PCR: {card_of(plant).verdict}"
     if charges.model is not None:
-        trust = f"the equivariant model: {charges.model.card.verdict} {trust}"
+        trust = f"the equivariant model: {card_of(charges.model).verdict} {trust}"
     trust = f"What these models can be trusted for: {trust}"
     summary = {
         "scene": scene.name,
         "fingerprint": scene.fingerprint(),
         "magnitudes": magnitudes,
         "step_residual_share": main.residual_share(),
-        "card": plant.card.table(),
+        "card": card_of(plant).table(),
         "poles": [
             {"real": float(p.real), "imag": float(p.imag), "bound": float(b)}
             for p, b in zip(np.asarray(poles), poles.error_bound, strict=True)
@@ -289,7 +293,7 @@ def _check(scene: Scene, order: int | None, folder: Path) -> None:
         )
 
 
-def plant_of(model: LinearModel) -> Any:
+def plant_of(model: AffineModel) -> Any:
     """The model's plant, continuous where it has a continuous form, else with its own step."""
     try:
         return model.plant()
@@ -298,32 +302,38 @@ def plant_of(model: LinearModel) -> Any:
 
 
 def _plant(
-    models: Mapping[tuple[str, int], LatentModel], order: int
+    models: Mapping[tuple[str, int], ReducedModel], order: int
 ) -> tuple[LatentModel, str | None]:
     """PCR at `order`, or at the next lower order that has a continuous form, and why."""
     reason = None
-    for m in sorted((m for name, m in models if name == "PCR" and m <= order), reverse=True):
+    pcr = {
+        m: model
+        for (name, m), model in models.items()
+        if name == "PCR" and isinstance(model, LatentModel)
+    }
+    for m in sorted((m for m in pcr if m <= order), reverse=True):
         try:
-            models["PCR", m].continuous_matrices()
+            pcr[m].continuous_matrices()
         except ParameterError as error:
             reason = reason or f"order {m} has {error}"
             continue
-        return models["PCR", m], reason and f"{reason}; shown is order {m}"
-    return models["PCR", order], reason
+        return pcr[m], reason and f"{reason}; shown is order {m}"
+    return pcr[order], reason
 
 
 def _loop(
-    scene: Scene, model: LinearModel, main: Trajectory
+    scene: Scene, model: LatentModel, main: Trajectory
 ) -> tuple[ClosedLoop | None, Trajectory | None, Linearisation | None, Margins | None, str | None]:
     """The loop's parts, or Nones and the reason why there is no loop."""
-    if "polarity" not in scene.effects:
+    polarity = scene.find(Polarity)
+    if polarity is None:
         return None, None, None, None, "the scene has no polarity effect"
     try:
         loop = closed_loop(
             model,
-            controller=PolarityLaw(kappa=scene.effects["polarity"].kappa),
+            controller=PolarityLaw(kappa=polarity.kappa),
             z0=encode_start(model, snapshots([main]).runs[0]),
-            p0=np.asarray(main.p[0, 0]),
+            p0=np.asarray(main.polarities[0, 0]),
         )
         reduced = loop.simulate(np.asarray(main.t), CVODES(rtol=1e-8, atol=1e-8))
         # Slower than the training runs are long: not to be told from integrators.
@@ -334,7 +344,7 @@ def _loop(
 
 
 def _loop_table(
-    model: LinearModel,
+    model: LatentModel,
     main: Trajectory,
     reduced: Trajectory | None,
     linear: Linearisation | None,
@@ -349,7 +359,7 @@ def _loop_table(
             "constant_direction": sensor.constant_error,
         }
     if reduced is not None and linear is not None:
-        gap = heading_error_deg(reduced.p[:, 0], np.asarray(main.p)[:, 0])
+        gap = heading_error_deg(reduced.polarities[:, 0], np.asarray(main.polarities)[:, 0])
         table["heading_error_deg"] = {
             "rms": float(np.sqrt(np.mean(gap**2))),
             "end": float(gap[-1]),
@@ -358,7 +368,7 @@ def _loop_table(
     return table
 
 
-def _write(result: StudyResult, system: Any, data: Snapshots, say: Progress) -> None:
+def _write(result: StudyResult, system: SpreadingSystem, data: Snapshots, say: Progress) -> None:
     from cellsys.study.report import write_figures, write_report
 
     run, out = result.run, result.out
