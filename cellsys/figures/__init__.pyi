@@ -22,6 +22,7 @@ from .crawler import (
 )
 from .crawler import (
     error_against_amplitude as error_against_amplitude,
+    row_displacement as row_displacement,
 )
 from .equivariant import (
     bode_family as bode_family,

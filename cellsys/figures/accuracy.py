@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+
+if TYPE_CHECKING:
+    from cellsys.accuracy import WorkPrecision
 
 
-def work_precision(result: Any, ax: Any = None) -> list[Any]:
+def work_precision(result: WorkPrecision, ax: Axes | None = None) -> list[Artist]:
     """Error against time of every setup, log-log, with the Pareto front in grey behind."""
     if ax is None:
         _, ax = plt.subplots(figsize=(7.5, 5.5), layout="constrained")
-    drawn = []
+    drawn: list[Artist] = []
     front = result.front()
     drawn += ax.loglog(
         [p.error for p in front],

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+
+if TYPE_CHECKING:
+    from cellsys.bondgraph import BondGraph
 
 
 def _layout(names: list[str], edges: list[tuple[int, int]], steps: int = 400) -> np.ndarray:
@@ -28,7 +32,7 @@ def _layout(names: list[str], edges: list[tuple[int, int]], steps: int = 400) ->
     return place - place.mean(axis=0)
 
 
-def bond_graph(graph: Any, ax: Any = None) -> Any:
+def bond_graph(graph: BondGraph, ax: Axes | None = None) -> Axes:
     """Draw a `BondGraph`.
 
     Junctions are shown as 0 and 1, elements by kind and name. A half arrow at the head counts

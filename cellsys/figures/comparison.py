@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+
+from cellsys.figures.axes import axes_of
+
+if TYPE_CHECKING:
+    from cellsys.reduction.comparison import Comparison
+    from cellsys.reduction.selection import LearningCurve, Selection
 
 
-def _axes(ax: Any) -> Any:
-    return plt.subplots(layout="constrained")[1] if ax is None else ax
-
-
-def comparison(result: Any, ax: Any = None) -> Any:
+def comparison(result: Comparison, ax: Axes | None = None) -> Axes:
     """Held-out error against order, a line a method, with floor and baselines; x: diverges."""
-    ax = _axes(ax)
+    ax = axes_of(ax)
     top = 1.5 * max([1.0, *(r.error for r in result.rows if r.error < 10.0)])
     for k, name in enumerate(dict.fromkeys(r.settings for r in result.rows)):
         rows = [r for r in result.rows if r.settings == name]
@@ -47,9 +49,9 @@ def comparison(result: Any, ax: Any = None) -> Any:
     return ax
 
 
-def selection(result: Any, ax: Any = None) -> Any:
+def selection(result: Selection, ax: Axes | None = None) -> Axes:
     """Validation error of every candidate with its spread over folds; the chosen one filled."""
-    ax = _axes(ax)
+    ax = axes_of(ax)
     rows = sorted(result.rows, key=lambda r: r.error)[:20]
     for k, r in enumerate(rows):
         chosen = (r.settings, r.order) == (result.settings, result.order)
@@ -70,9 +72,9 @@ def selection(result: Any, ax: Any = None) -> Any:
     return ax
 
 
-def learning_curve(result: Any, ax: Any = None) -> Any:
+def learning_curve(result: LearningCurve, ax: Axes | None = None) -> Axes:
     """Held-out and training error against the number of training runs."""
-    ax = _axes(ax)
+    ax = axes_of(ax)
     for name, mean, spread, colour in (
         ("held out", result.held_out, result.held_out_spread, "C0"),
         ("training", result.training, result.training_spread, "0.6"),

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING
 
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 
+from cellsys.figures.axes import axes_of
 from cellsys.figures.sheet import not_drawn
 
+if TYPE_CHECKING:
+    from cellsys.mechanics.crawler_run import CrawlRun
 
-def crawler_run(run: Any, ax: Any = None) -> Any:
+
+def crawler_run(run: CrawlRun, ax: Axes | None = None) -> Axes:
     """Lead and trail of every cell of a `CrawlRun`, with a tick at every switch."""
-    if ax is None:
-        ax = plt.subplots(layout="constrained")[1]
+    ax = axes_of(ax)
     ax.set(
         xlabel="time (s)",
         ylabel="position (um)",
@@ -40,7 +43,7 @@ def crawler_run(run: Any, ax: Any = None) -> Any:
     return ax
 
 
-def chain_displacement(run: Any, ax: Any = None, *, error: float = 0.0) -> Any:
+def chain_displacement(run: CrawlRun, ax: Axes | None = None, *, error: float = 0.0) -> Axes:
     """Displacement of every node of a `CrawlRun`'s chain against time, um.
 
     One that nowhere exceeds its own `error` (um, `Trajectory.error_of`) is not drawn.
@@ -52,8 +55,8 @@ def chain_displacement(run: Any, ax: Any = None, *, error: float = 0.0) -> Any:
 
 
 def row_displacement(
-    t: np.ndarray, rest: np.ndarray, u: np.ndarray, ax: Any = None, *, error: float = 0.0
-) -> Any:
+    t: np.ndarray, rest: np.ndarray, u: np.ndarray, ax: Axes | None = None, *, error: float = 0.0
+) -> Axes:
     """Displacement (T, N) of nodes in a row at rest (N,) against time (T,), um; see above."""
     ax = _row_axes(ax)
     every = -(-len(t) // 2000)  # more columns than pixels only take time
@@ -65,19 +68,17 @@ def row_displacement(
     return ax
 
 
-def _row_axes(ax: Any) -> Any:
-    if ax is None:
-        ax = plt.subplots(layout="constrained")[1]
+def _row_axes(ax: Axes | None) -> Axes:
+    ax = axes_of(ax)
     ax.set(xlabel="time (s)", ylabel="node at rest (um)")
     return ax
 
 
 def crawler_predictions(
-    t: np.ndarray, true: np.ndarray, predicted: Mapping[str, np.ndarray], ax: Any = None
-) -> Any:
+    t: np.ndarray, true: np.ndarray, predicted: Mapping[str, np.ndarray], ax: Axes | None = None
+) -> Axes:
     """Thesis Fig. 7, 8: edges (T, k) of the full-order run (thick) and of each prediction."""
-    if ax is None:
-        ax = plt.subplots(layout="constrained")[1]
+    ax = axes_of(ax)
     ax.plot(t, true, color="C2", lw=3, alpha=0.5)
     ax.plot([], [], color="C2", lw=3, alpha=0.5, label="full-order")
     colours = ["C3", "C0", "C1", "C4", "C5", "C6", "C7"]
@@ -95,11 +96,10 @@ def crawler_predictions(
 
 
 def error_against_amplitude(
-    amplitude: np.ndarray, errors: Mapping[str, np.ndarray], ax: Any = None
-) -> Any:
+    amplitude: np.ndarray, errors: Mapping[str, np.ndarray], ax: Axes | None = None
+) -> Axes:
     """Relative roll-out error of each model against the amplitude of its runs, both logarithmic."""
-    if ax is None:
-        ax = plt.subplots(layout="constrained")[1]
+    ax = axes_of(ax)
     for label, values in errors.items():
         ax.loglog(amplitude, values, "o-", label=label)
     ax.set(xlabel="amplitude", ylabel="relative roll-out error, held out")

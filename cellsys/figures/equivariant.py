@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+
+from cellsys.figures.axes import Pair, axes_of
+
+if TYPE_CHECKING:
+    from cellsys.cell import EquivariantModel
+    from cellsys.cell.forecast import Forecast
+    from cellsys.response.margins import Margins
 
 MEANING = {
     0: "0 spreading, contraction",
@@ -15,13 +23,11 @@ MEANING = {
 }
 
 
-def _axes(ax: Any) -> Any:
-    return plt.subplots(layout="constrained")[1] if ax is None else ax
-
-
-def equivariant_model(model: Any, ax: Any = None, *, t: float | None = None) -> Any:
+def equivariant_model(
+    model: EquivariantModel, ax: Axes | None = None, *, t: float | None = None
+) -> Axes:
     """Pole map coloured by charge, frozen at time t (default: end of the training runs)."""
-    ax = _axes(ax)
+    ax = axes_of(ax)
     poles = [p for p in model.labelled_poles(t) if np.isfinite(p.value)]
     for q in sorted({p.charge for p in poles}):
         of = np.array([p.value for p in poles if p.charge == q])
@@ -43,9 +49,9 @@ def equivariant_model(model: Any, ax: Any = None, *, t: float | None = None) -> 
     return ax
 
 
-def forecast(result: Any, ax: Any = None) -> Any:
+def forecast(result: Forecast, ax: Axes | None = None) -> Axes:
     """Centroid of a `Forecast` in the plane over time, with the band of any node."""
-    ax = _axes(ax)
+    ax = axes_of(ax)
     path = result.nodes.mean(axis=1)
     for k, name in enumerate("xy"):
         ax.fill_between(
@@ -65,7 +71,7 @@ def forecast(result: Any, ax: Any = None) -> Any:
     return ax
 
 
-def bode_family(found: Mapping[float, Any], axes: Any = None) -> Any:
+def bode_family(found: Mapping[float, Margins], axes: Pair | None = None) -> Pair:
     """Magnitude (dB) and phase (deg) of return ratios frozen at several times.
 
     Parameters

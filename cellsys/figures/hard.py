@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 
 def hard_sweep(
@@ -15,8 +15,8 @@ def hard_sweep(
     *,
     title: str,
     label: str,
-    ax: Any = None,
-) -> Any:
+    ax: Axes | None = None,
+) -> Axes:
     """Two curves on logarithmic axes; a route that gave no number has a cross at the top.
 
     Errors below 1e-17 are drawn there.

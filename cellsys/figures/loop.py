@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 
+from cellsys.figures.axes import axes_of
 from cellsys.figures.reduction import pole_map
 
+if TYPE_CHECKING:
+    from cellsys.loop import Linearisation
+    from cellsys.trajectory import Trajectory
 
-def headings(runs: dict[str, Any], ax: Any = None) -> Any:
+
+def headings(runs: dict[str, Trajectory], ax: Axes | None = None) -> Axes:
     """Polarity (line) and sensed direction (dots) of the first cell against time, deg."""
-    if ax is None:
-        ax = plt.subplots(layout="constrained")[1]
+    ax = axes_of(ax)
     for k, (label, run) in enumerate(runs.items()):
         for values, style in ((run.p, "-"), (run.d, ":")):
             if values is None:
@@ -31,7 +35,7 @@ def headings(runs: dict[str, Any], ax: Any = None) -> Any:
     return ax
 
 
-def linearisation(point: Any, ax: Any = None) -> Any:
+def linearisation(point: Linearisation, ax: Axes | None = None) -> Axes:
     """Closed-loop poles of a `Linearisation`."""
     ax = pole_map(point.poles, ax)
     ax.set_title("closed loop", fontsize="medium")

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from cellsys.figures.response import singular_values
 
+if TYPE_CHECKING:
+    from cellsys.response.norms import SystemNorm
 
-def system_norm(result: Any, ax: Any = None) -> Any:
+
+def system_norm(result: SystemNorm, ax: Axes | None = None) -> Axes:
     """Singular values (dB) over frequency of a `SystemNorm`'s system; the peak is marked."""
     ax = singular_values(result.response, ax)
     if np.isfinite(result.frequency) and result.frequency > 0:

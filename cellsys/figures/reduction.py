@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 
+from cellsys.figures.axes import axes_of
 from cellsys.model.card import DIVERGED
+
+if TYPE_CHECKING:
+    from cellsys.model.latent import LatentModel
+    from cellsys.reduction.piecewise import PiecewiseModel
+    from cellsys.response.certainty import PoleCertainty
 
 COLOURS = {"PCR": "C0", "LeastSquares": "C1", "Equivariant": "C2"}
 
 
-def _axes(ax: Any) -> Any:
-    return plt.subplots(layout="constrained")[1] if ax is None else ax
-
-
-def pole_map(poles: np.ndarray, ax: Any = None, *, spread: np.ndarray | None = None) -> Any:
+def pole_map(
+    poles: np.ndarray, ax: Axes | None = None, *, spread: np.ndarray | None = None
+) -> Axes:
     """Poles in the complex plane (1/s); circles of radius `spread` show how certain each is."""
-    ax = _axes(ax)
+    ax = axes_of(ax)
     shown = np.isfinite(poles)
     p = poles[shown]
     if spread is not None:
@@ -39,21 +44,21 @@ def pole_map(poles: np.ndarray, ax: Any = None, *, spread: np.ndarray | None = N
     return ax
 
 
-def latent_model(model: Any, ax: Any = None) -> Any:
+def latent_model(model: LatentModel | PiecewiseModel, ax: Axes | None = None) -> Axes:
     """Pole map of a `LatentModel`."""
     ax = pole_map(model.poles(), ax)
     ax.set_title(f"order {model.order}", fontsize="medium")
     return ax
 
 
-def pole_certainty(result: Any, ax: Any = None) -> Any:
+def pole_certainty(result: PoleCertainty, ax: Axes | None = None) -> Axes:
     """Poles of a `PoleCertainty` with circles of their spread."""
     return pole_map(result.poles, ax, spread=result.spread)
 
 
-def order_sweep(sweep: Any, ax: Any = None) -> Any:
+def order_sweep(sweep: Any, ax: Axes | None = None) -> Axes:
     """Held-out error of the cells against order, with projection floor and baselines."""
-    ax = _axes(ax)
+    ax = axes_of(ax)
     for method in dict.fromkeys(r.method for r in sweep.rows):
         rows = [r for r in sweep.rows if r.method == method]
         m = [r.order for r in rows]
@@ -89,9 +94,9 @@ def order_sweep(sweep: Any, ax: Any = None) -> Any:
     return ax
 
 
-def error_against_time(sweep: Any, ax: Any = None) -> Any:
+def error_against_time(sweep: Any, ax: Axes | None = None) -> Axes:
     """Held-out error against wall time of one run: what accuracy costs."""
-    ax = _axes(ax)
+    ax = axes_of(ax)
     for method in dict.fromkeys(r.method for r in sweep.rows):
         rows = [r for r in sweep.rows if r.method == method and r.error["cells"] < DIVERGED]
         ax.plot(

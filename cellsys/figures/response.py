@@ -2,37 +2,40 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+
+from cellsys.figures.axes import Pair, axes_of, labelled, unit_circle
+from cellsys.response.damping import DampingTable
+from cellsys.response.frequency import FrequencyResponse
+from cellsys.response.gramians import Gramian
+from cellsys.response.margins import Margins
+from cellsys.response.participation import Participation
+from cellsys.response.pseudospectra import Pseudospectra
+from cellsys.response.root_locus import RootLocus
+from cellsys.response.roots import RootSet
+from cellsys.response.sensitivity_functions import ErrorSystem, Sensitivity
+from cellsys.response.stability import StabilityReport
+from cellsys.response.timeresponse import TimeResponse
+from cellsys.response.truncation import BalancedTruncation
 
 
-def _axes(ax: Any) -> Any:
-    return plt.subplots()[1] if ax is None else ax
-
-
-def _circle(ax: Any, style: str = "-") -> None:
-    turn = np.linspace(0, 2 * np.pi, 200)
-    ax.plot(np.cos(turn), np.sin(turn), style, color="0.6", lw=1)
-
-
-def _finish(ax: Any, x: str, y: str) -> Any:
-    ax.set_xlabel(x)
-    ax.set_ylabel(y)
-    ax.grid(True, which="both", alpha=0.3)
-    return ax
-
-
-def _channels(response: Any) -> list[tuple[np.ndarray, str]]:
-    p, m = response.response.shape[:2]
-    return [
-        (response.response[i, j], f"{response.inputs[j]} to {response.outputs[i]}" * (p * m > 1))
+def _lines(
+    found: FrequencyResponse | Margins,
+) -> tuple[list[tuple[np.ndarray, str]], np.ndarray, np.ndarray]:
+    """The curves with their labels, frequencies and phases (rad)."""
+    if isinstance(found, Margins):
+        return [(v, "") for v in found.loci.values], found.loci.omega, found.loci.phase
+    p, m = found.response.shape[:2]
+    channels = [
+        (found.response[i, j], f"{found.inputs[j]} to {found.outputs[i]}" * (p * m > 1))
         for i, j in np.ndindex(p, m)
     ]
+    return channels, found.omega, found.phase
 
 
-def bode(result: Any, ax: Any = None) -> Any:
+def bode(result: FrequencyResponse | Margins, ax: Axes | Pair | None = None) -> Axes | Pair:
     """Magnitude (dB) and phase (deg) of a `FrequencyResponse`, or of `Margins` with its crossings.
 
     Parameters
@@ -46,44 +49,45 @@ def bode(result: Any, ax: Any = None) -> Any:
     -------
     tuple of Axes, or Axes when one was given
     """
-    single = ax is not None and np.ndim(ax) == 0
-    if ax is None:
-        _, ax = plt.subplots(2, 1, sharex=True, layout="constrained")
-    upper, lower = (ax, None) if single else ax
-    margins = hasattr(result, "loci")
-    omega = result.loci.omega if margins else result.omega
-    lines = [(v, "") for v in result.loci.values] if margins else _channels(result)
+    lower: Axes | None = None
+    if isinstance(ax, Axes):
+        upper = ax
+    else:
+        pair = plt.subplots(2, 1, sharex=True, layout="constrained")[1] if ax is None else ax
+        upper, lower = pair
+    margins = result if isinstance(result, Margins) else None
+    lines, omega, phase = _lines(result)
     # From the low-frequency asymptote on: 1/s^3 starts at -270 deg.
-    phases = np.rad2deg(result.loci.phase if margins else result.phase).reshape(-1, len(omega))
+    phases = np.rad2deg(phase).reshape(-1, len(omega))
     for (value, label), phase in zip(lines, phases, strict=True):
         shown = np.abs(value) > 0
         w, value, phase = omega[shown], value[shown], phase[shown]
         upper.semilogx(w, 20 * np.log10(np.abs(value)), label=label or None)
         if lower is not None and len(w):
             lower.semilogx(w, phase)
-            for at, _ in result.gain_crossings if margins and len(lines) == 1 else ():
+            for at, _ in margins.gain_crossings if margins is not None and len(lines) == 1 else ():
                 lower.plot(at, np.interp(np.log(at), np.log(w), phase), "o", color="C3", ms=5)
-    if margins:
-        for at, factor in result.phase_crossings:
+    if margins is not None:
+        for at, factor in margins.phase_crossings:
             if omega[0] <= at <= omega[-1]:
                 upper.plot(at, -20 * np.log10(factor), "o", color="C3", ms=5)
-        text = f"gain margin {result.gain_margin:.4g}, phase margin {result.phase_margin:.4g} deg"
+        text = f"gain margin {margins.gain_margin:.4g}, phase margin {margins.phase_margin:.4g} deg"
         upper.set_title(text, fontsize="medium")
     if any(label for _, label in lines):
         upper.legend(fontsize="small")
-    _finish(upper, "frequency (rad/s)" if lower is None else "", "|G| (dB)")
+    labelled(upper, "frequency (rad/s)" if lower is None else "", "|G| (dB)")
     if lower is not None:
         lower.yaxis.set_major_locator(plt.MultipleLocator(_phase_step(lower)))
-        _finish(lower, "frequency (rad/s)", "phase (deg)")
-    return upper if single else (upper, lower)
+        labelled(lower, "frequency (rad/s)", "phase (deg)")
+    return upper if lower is None else (upper, lower)
 
 
-def _phase_step(ax: Any) -> float:
+def _phase_step(ax: Axes) -> float:
     low, high = ax.get_ylim()
     return next((s for s in (15, 45, 90, 180, 360) if (high - low) / s <= 8), 720.0)
 
 
-def nyquist(result: Any, ax: Any = None) -> Any:
+def nyquist(result: FrequencyResponse | Margins, ax: Axes | None = None) -> Axes:
     """Nyquist plot of `Margins` (eigenvalue loci) or of a `FrequencyResponse` (its channels).
 
     The part for negative frequencies is dashed; -1 is marked. Values beyond 4 are drawn pulled in
@@ -98,10 +102,9 @@ def nyquist(result: Any, ax: Any = None) -> Any:
     -------
     Axes
     """
-    ax = _axes(ax)
-    margins = hasattr(result, "loci")
-    values = result.loci.values if margins else result.response.reshape(-1, len(result.omega))
-    for number, value in enumerate(values):
+    ax = axes_of(ax, None)
+    lines, _, _ = _lines(result)
+    for number, (value, _) in enumerate(lines):
         shown = _pull_in(value)
         (line,) = ax.plot(shown.real, shown.imag, lw=1.5, label=f"locus {number + 1}")
         ax.plot(shown.real, -shown.imag, "--", lw=1, color=line.get_color())
@@ -109,19 +112,20 @@ def nyquist(result: Any, ax: Any = None) -> Any:
             at = int(np.argmin(np.abs(np.abs(shown) - np.median(np.abs(shown)))))
             at = min(max(at, 1), len(shown) - 2)
             ax.annotate(
-                "", xy=(shown.real[at + 1], shown.imag[at + 1]),
+                "",
+                xy=(shown.real[at + 1], shown.imag[at + 1]),
                 xytext=(shown.real[at - 1], shown.imag[at - 1]),
                 arrowprops={"arrowstyle": "->", "color": line.get_color()},
             )
-    _circle(ax, ":")
+    unit_circle(ax, ":")
     ax.plot(-1, 0, "+", color="C3", ms=12, mew=2)
-    if margins:
+    if isinstance(result, Margins):
         text = f"gain margin {result.gain_margin:.4g}, phase margin {result.phase_margin:.4g} deg"
         ax.set_title(text, fontsize="medium")
-    if len(values) > 1:
+    if len(lines) > 1:
         ax.legend(fontsize="small")
     ax.set_aspect("equal", adjustable="datalim")
-    return _finish(ax, "Re L", "Im L")
+    return labelled(ax, "Re L", "Im L")
 
 
 def _pull_in(value: np.ndarray, radius: float = 4.0) -> np.ndarray:
@@ -131,7 +135,7 @@ def _pull_in(value: np.ndarray, radius: float = 4.0) -> np.ndarray:
         return np.where(far, value / size * (radius + 1 - radius / np.maximum(size, radius)), value)
 
 
-def pole_zero_map(result: Any, ax: Any = None) -> Any:
+def pole_zero_map(result: RootSet | DampingTable, ax: Axes | None = None) -> Axes:
     """Poles as crosses or zeros as circles, with the sizes of tight clusters.
 
     Parameters
@@ -144,8 +148,8 @@ def pole_zero_map(result: Any, ax: Any = None) -> Any:
     -------
     Axes
     """
-    ax = _axes(ax)
-    roots = getattr(result, "poles", result)
+    ax = axes_of(ax, None)
+    roots = result.poles if isinstance(result, DampingTable) else result
     zero = roots.kind == "zero"
     z = np.asarray(roots)
     size = roots.cluster_size
@@ -157,20 +161,19 @@ def pole_zero_map(result: Any, ax: Any = None) -> Any:
         members = z[roots.cluster == label]
         if np.ptp(np.abs(members - members[0])) < 0.02 * np.abs(z).max():
             at = (members.mean().real, members.mean().imag)
-            style = {"textcoords": "offset points", "fontsize": "small"}
-            ax.annotate(f"{len(members)}", at, xytext=(5, 4), **style)
+            ax.annotate(f"{len(members)}", at, (5, 4), textcoords="offset points", fontsize="small")
     if roots.dt > 0:
-        _circle(ax)
+        unit_circle(ax)
         ax.set_aspect("equal", adjustable="datalim")
     else:
         ax.axvline(0, color="0.6", lw=1)
     ax.axhline(0, color="0.8", lw=0.8, zorder=0)
     if roots.dt > 0:
-        return _finish(ax, "Re z", "Im z")
-    return _finish(ax, "real part (1/s)", "imaginary part (rad/s)")
+        return labelled(ax, "Re z", "Im z")
+    return labelled(ax, "real part (1/s)", "imaginary part (rad/s)")
 
 
-def singular_values(response: Any, ax: Any = None) -> Any:
+def singular_values(response: FrequencyResponse, ax: Axes | None = None) -> Axes:
     """Singular values (dB) of a `FrequencyResponse` over frequency.
 
     Parameters
@@ -182,14 +185,14 @@ def singular_values(response: Any, ax: Any = None) -> Any:
     -------
     Axes
     """
-    ax = _axes(ax)
+    ax = axes_of(ax, None)
     for value in response.singular_values:
         shown = value > 0
         ax.semilogx(response.omega[shown], 20 * np.log10(value[shown]))
-    return _finish(ax, "frequency (rad/s)", "singular values (dB)")
+    return labelled(ax, "frequency (rad/s)", "singular values (dB)")
 
 
-def pseudospectra(result: Any, ax: Any = None) -> Any:
+def pseudospectra(result: Pseudospectra, ax: Axes | None = None) -> Axes:
     """Level lines of log10 sigma_min(z I - A) with the poles on top.
 
     Parameters
@@ -201,7 +204,7 @@ def pseudospectra(result: Any, ax: Any = None) -> Any:
     -------
     Axes
     """
-    ax = _axes(ax)
+    ax = axes_of(ax, None)
     level = np.log10(np.maximum(result.sigma, 1e-300))
     low = np.floor(max(level.min(), level.max() - 17))  # below that is rounding
     high = np.ceil(level.max())
@@ -211,7 +214,7 @@ def pseudospectra(result: Any, ax: Any = None) -> Any:
     z = np.asarray(result.poles)
     ax.plot(z.real, z.imag, "x", color="C3", ms=6, mew=1.5)
     if result.dt > 0:
-        _circle(ax)
+        unit_circle(ax)
     else:
         ax.axvline(0, color="0.4", lw=1)
     ax.set_xlim(result.x[0], result.x[-1])
@@ -221,7 +224,7 @@ def pseudospectra(result: Any, ax: Any = None) -> Any:
     return ax
 
 
-def stability(report: Any, ax: Any = None) -> Any:
+def stability(report: StabilityReport, ax: Axes | None = None) -> Axes:
     """Pseudospectra of a `StabilityReport` over its poles, the verdict above.
 
     Parameters
@@ -233,13 +236,13 @@ def stability(report: Any, ax: Any = None) -> Any:
     -------
     Axes
     """
-    ax = pseudospectra(report.pseudospectra, ax=ax) if len(report.A) else _axes(ax)
+    ax = pseudospectra(report.pseudospectra, ax=ax) if len(report.A) else axes_of(ax, None)
     text = f"{report.verdict}; distance to instability {report.distance:.3g}"
     ax.set_title(text, fontsize="medium")
     return ax
 
 
-def root_locus(result: Any, ax: Any = None) -> Any:
+def root_locus(result: RootLocus, ax: Axes | None = None) -> Axes:
     """Branches of a `RootLocus`: crosses at the first value, circles at the open-loop zeros.
 
     Parameters
@@ -251,14 +254,14 @@ def root_locus(result: Any, ax: Any = None) -> Any:
     -------
     Axes
     """
-    ax = _axes(ax)
+    ax = axes_of(ax, None)
     start, ends = result.poles[0], result.zeros
     for branch in result.poles.T:
         ax.plot(branch.real, branch.imag, lw=1.2)
     ax.plot(start.real, start.imag, "x", color="C3", ms=7, mew=1.5)
     ax.plot(ends.real, ends.imag, "o", mfc="none", mec="C0", ms=7)
     if result.dt > 0:
-        _circle(ax)
+        unit_circle(ax)
         ax.set_aspect("equal", adjustable="datalim")
     else:
         ax.axvline(0, color="0.6", lw=1)
@@ -270,10 +273,10 @@ def root_locus(result: Any, ax: Any = None) -> Any:
     if len(result.crossings):
         at = ", ".join(f"{c:.4g}" for c in result.crossings[:4])
         ax.set_title(f"crosses at {at}", fontsize="medium")
-    return _finish(ax, "Re", "Im")
+    return labelled(ax, "Re", "Im")
 
 
-def time_response(result: Any, ax: Any = None) -> Any:
+def time_response(result: TimeResponse, ax: Axes | None = None) -> Axes:
     """Outputs of a `TimeResponse` over time; stairs in discrete time.
 
     Parameters
@@ -285,19 +288,19 @@ def time_response(result: Any, ax: Any = None) -> Any:
     -------
     Axes
     """
-    ax = _axes(ax)
+    ax = axes_of(ax, None)
     y = result.y if result.y.ndim == 3 else result.y[:, :, None]
-    style = {"drawstyle": "steps-post"} if result.dt > 0 else {}
+    style = "steps-post" if result.dt > 0 else "default"
     for i, name in enumerate(result.outputs):
         for j in range(y.shape[2]):
             label = name if y.shape[2] == 1 else f"{result.inputs[j]} to {name}"
-            ax.plot(result.t, y[:, i, j], label=label, **style)
+            ax.plot(result.t, y[:, i, j], label=label, drawstyle=style)
     if y.shape[1] * y.shape[2] > 1:
         ax.legend(fontsize="small")
-    return _finish(ax, "time (s)", f"{result.kind} response")
+    return labelled(ax, "time (s)", f"{result.kind} response")
 
 
-def sensitivity(result: Any, ax: Any = None) -> Any:
+def sensitivity(result: Sensitivity, ax: Axes | None = None) -> Axes:
     """Largest singular values of S and T (dB) over frequency, peaks marked.
 
     Parameters
@@ -309,7 +312,7 @@ def sensitivity(result: Any, ax: Any = None) -> Any:
     -------
     Axes
     """
-    ax = _axes(ax)
+    ax = axes_of(ax, None)
     for name in "ST":
         response, peak = getattr(result, f"response_{name}"), getattr(result, f"peak_{name}")
         value = response.singular_values[0]
@@ -321,10 +324,10 @@ def sensitivity(result: Any, ax: Any = None) -> Any:
             ax.plot(peak.frequency, 20 * np.log10(peak.value), "o", color=line.get_color(), ms=5)
     ax.axhline(0, color="0.6", lw=0.8)
     ax.legend(fontsize="small")
-    return _finish(ax, "frequency (rad/s)", "largest singular value (dB)")
+    return labelled(ax, "frequency (rad/s)", "largest singular value (dB)")
 
 
-def error_system(result: Any, ax: Any = None) -> Any:
+def error_system(result: ErrorSystem, ax: Axes | None = None) -> Axes:
     """Singular values (dB) of an `ErrorSystem` over frequency.
 
     Parameters
@@ -343,7 +346,7 @@ def error_system(result: Any, ax: Any = None) -> Any:
     return ax
 
 
-def hankel(result: Any, ax: Any = None) -> Any:
+def hankel(result: BalancedTruncation | Gramian, ax: Axes | None = None) -> Axes:
     """Hankel singular values of a `BalancedTruncation`, or the eigenvalues of a `Gramian`.
 
     Parameters
@@ -355,8 +358,8 @@ def hankel(result: Any, ax: Any = None) -> Any:
     -------
     Axes
     """
-    ax = _axes(ax)
-    if hasattr(result, "factor"):
+    ax = axes_of(ax, None)
+    if isinstance(result, Gramian):
         value, kept = np.linalg.svd(result.factor, compute_uv=False) ** 2, np.inf
         label = f"eigenvalue of the {result.kind} Gramian"
     else:
@@ -366,10 +369,10 @@ def hankel(result: Any, ax: Any = None) -> Any:
     for shown, fill in ((number <= kept, "C0"), (number > kept, "none")):
         shown = shown & (value > 0)
         ax.semilogy(number[shown], value[shown], "o", mfc=fill, mec="C0", ms=5)
-    return _finish(ax, "number", label)
+    return labelled(ax, "number", label)
 
 
-def participation(result: Any, ax: Any = None) -> Any:
+def participation(result: Participation, ax: Axes | None = None) -> Axes:
     """Shares of the states in the modes as an image; at most 40 modes and 40 states.
 
     Parameters
@@ -381,14 +384,18 @@ def participation(result: Any, ax: Any = None) -> Any:
     -------
     Axes
     """
-    ax = _axes(ax)
+    ax = axes_of(ax, None)
     modes = min(len(result.poles), 40)
     share = result.states[:, :modes]
     rows = np.sort(np.argsort(-share.max(axis=1, initial=0.0))[:40])
     image = ax.imshow(share[rows], aspect="auto", cmap="Blues", vmin=0)
     ax.figure.colorbar(image, ax=ax, label="participation")
     ax.set_yticks(range(len(rows)), [result.state_names[i] for i in rows], fontsize="x-small")
-    ax.set_xticks(range(modes), [f"{complex(z):.3g}" for z in result.poles[:modes]], rotation=90,
-                  fontsize="x-small")
+    ax.set_xticks(
+        range(modes),
+        [f"{complex(z):.3g}" for z in result.poles[:modes]],
+        rotation=90,
+        fontsize="x-small",
+    )
     ax.set_xlabel("mode (pole)")
     return ax

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cellsys.store import atomic_path
@@ -25,7 +26,7 @@ def sheet(
     return figure, figure.subplots(rows, columns, height_ratios=heights, sharex=sharex)
 
 
-def not_drawn(ax: Any, error: float) -> Any:
+def not_drawn(ax: Axes, error: float) -> Axes:
     """Axes that say why they hold no field: it is nowhere beyond its own error, um."""
     text = f"not drawn: no node moved\nby more than the error of {error:.2g} um"
     ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes)

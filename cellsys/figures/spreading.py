@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 
+from cellsys.figures.axes import Pair, axes_of
 from cellsys.figures.sheet import not_drawn
 from cellsys.trajectory import cell_names
 
+if TYPE_CHECKING:
+    from cellsys.observe.pairs import PairReadout
+    from cellsys.trajectory import Trajectory
+
 CELL, FIBRE = "#c0504d", "0.75"
-
-
-def _axes(ax: Any) -> Any:
-    return plt.subplots(layout="constrained")[1] if ax is None else ax
 
 
 def cell_from_above(
@@ -24,8 +26,8 @@ def cell_from_above(
     triangles: np.ndarray,
     nodes: np.ndarray,
     fibres: np.ndarray,
-    ax: Any = None,
-) -> Any:
+    ax: Axes | None = None,
+) -> Axes:
     """Membrane (n, 3) over the matrix nodes (N, 3) with its fibres, um, seen from above."""
     return cells_from_above([(position, triangles)], nodes, fibres, ax)
 
@@ -34,10 +36,10 @@ def cells_from_above(
     cells: Sequence[tuple[np.ndarray, np.ndarray]],
     nodes: np.ndarray | None = None,
     fibres: np.ndarray | None = None,
-    ax: Any = None,
-) -> Any:
+    ax: Axes | None = None,
+) -> Axes:
     """Membranes, each (positions (n, 3), triangles), over the matrix if there is one, um."""
-    ax = _axes(ax)
+    ax = axes_of(ax)
     for position, triangles in cells:
         _membrane(position, triangles, ax)
     ax.set(xlabel="x (um)", ylabel="y (um)")
@@ -52,7 +54,7 @@ def cells_from_above(
     return ax
 
 
-def _membrane(position: np.ndarray, triangles: np.ndarray, ax: Any) -> None:
+def _membrane(position: np.ndarray, triangles: np.ndarray, ax: Axes) -> None:
     order = np.argsort(position[triangles].mean(axis=1)[:, 2])
     ax.add_collection(
         PolyCollection(
@@ -65,9 +67,9 @@ def _membrane(position: np.ndarray, triangles: np.ndarray, ax: Any) -> None:
     )
 
 
-def cell_from_side(position: np.ndarray, triangles: np.ndarray, ax: Any = None) -> Any:
+def cell_from_side(position: np.ndarray, triangles: np.ndarray, ax: Axes | None = None) -> Axes:
     """Membrane (n, 3), um, seen along y, on the plane z = 0."""
-    ax = _axes(ax)
+    ax = axes_of(ax)
     order = np.argsort(-position[triangles].mean(axis=1)[:, 1])
     ax.add_collection(
         PolyCollection(
@@ -86,14 +88,14 @@ def cell_from_side(position: np.ndarray, triangles: np.ndarray, ax: Any = None) 
 
 
 def displacement_field(
-    rest: np.ndarray, u: np.ndarray, ax: Any = None, *, error: float = 0.0
-) -> Any:
+    rest: np.ndarray, u: np.ndarray, ax: Axes | None = None, *, error: float = 0.0
+) -> Axes:
     """Horizontal displacement (N, 3) of the surface of the matrix, arrows over colour, um.
 
     A field that nowhere exceeds its own `error` (um, `Trajectory.error_of`) is not drawn, and the
     axes say so: arrows are scaled to the largest, and would show rounding as a pattern.
     """
-    ax = _axes(ax)
+    ax = axes_of(ax)
     top = rest[:, 2] > -0.7
     x, v = rest[top], u[top]
     size = np.hypot(v[:, 0], v[:, 1])
@@ -108,9 +110,9 @@ def displacement_field(
     return ax
 
 
-def trajectory(run: Any, ax: Any = None) -> Any:
+def trajectory(run: Trajectory, ax: Axes | None = None) -> Axes:
     """Centres of the cells against time (um), or the first states when there is no cell."""
-    ax = _axes(ax)
+    ax = axes_of(ax)
     cells = cell_names(run.states)
     if cells:
         for name in cells:
@@ -129,7 +131,7 @@ def trajectory(run: Any, ax: Any = None) -> Any:
     return ax
 
 
-def pair_gaps(pairs: Mapping[tuple[int, int], Any], axes: Any = None) -> Any:
+def pair_gaps(pairs: Mapping[tuple[int, int], PairReadout], axes: Pair | None = None) -> Pair:
     """Gaps of the nearest six pairs (um), and speed of the matrix in each, together and alone."""
     if axes is None:
         axes = plt.subplots(1, 2, layout="constrained")[1]

@@ -4,6 +4,8 @@
 can be called.
 """
 
+from __future__ import annotations
+
 import sys
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
