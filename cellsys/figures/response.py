@@ -24,7 +24,6 @@ from cellsys.response.truncation import BalancedTruncation
 def _lines(
     found: FrequencyResponse | Margins,
 ) -> tuple[list[tuple[np.ndarray, str]], np.ndarray, np.ndarray]:
-    """The curves with their labels, frequencies and phases (rad)."""
     if isinstance(found, Margins):
         return [(v, "") for v in found.loci.values], found.loci.omega, found.loci.phase
     p, m = found.response.shape[:2]
