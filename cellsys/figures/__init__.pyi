@@ -22,6 +22,8 @@ from .crawler import (
 )
 from .crawler import (
     error_against_amplitude as error_against_amplitude,
+)
+from .crawler import (
     row_displacement as row_displacement,
 )
 from .equivariant import (
