@@ -54,9 +54,7 @@ class WholeRun(Protocol):
 class Stepping(Protocol):
     """An integrator that goes from sample to sample by a stepper of its own."""
 
-    def start(
-        self, system: OdeSystem, t0: float, x0: np.ndarray, rng: np.random.Generator
-    ) -> Any:
+    def start(self, system: OdeSystem, t0: float, x0: np.ndarray, rng: np.random.Generator) -> Any:
         """A stepper at (t0, x0)."""
 
 
@@ -69,25 +67,32 @@ class ReducedModel(Protocol):
     """A reduced model, made by cs.reduce(data, order=...)."""
 
     @property
-    def order(self) -> int: ...
+    def order(self) -> int:
+        """Number of latent states."""
 
     @property
-    def dt(self) -> float | None: ...
+    def dt(self) -> float | None:
+        """Step, s; None of a continuous model."""
 
     @property
-    def input_names(self) -> tuple[str, ...]: ...
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the commands."""
 
     @property
-    def z_start(self) -> np.ndarray | None: ...
+    def z_start(self) -> np.ndarray | None:
+        """Latent state (m,) at the start of the training runs."""
 
     @property
-    def sensor(self) -> Any: ...
+    def sensor(self) -> Any:
+        """What it senses with, or None."""
 
     @property
-    def card(self) -> Any: ...
+    def card(self) -> Any:
+        """What it is worth, or None."""
 
     @property
-    def notes(self) -> Mapping[str, Any]: ...
+    def notes(self) -> Mapping[str, Any]:
+        """What else is known of it."""
 
     def encode(self, x: np.ndarray, eta: np.ndarray | None = None) -> np.ndarray:
         """Latent states of samples."""
@@ -125,13 +130,16 @@ class LinearModel(ReducedModel, Protocol):
     """
 
     @property
-    def A(self) -> np.ndarray: ...
+    def A(self) -> np.ndarray:
+        """(m, m), 1/s."""
 
     @property
-    def B(self) -> np.ndarray: ...
+    def B(self) -> np.ndarray:
+        """(m, n_c), of the commands."""
 
     @property
-    def offset(self) -> np.ndarray: ...
+    def offset(self) -> np.ndarray:
+        """b (m,), 1/s."""
 
     def continuous_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(A_c, B_c, b_c) of z' = A_c z + B_c c + b_c."""
@@ -173,19 +181,24 @@ class MatrixField(Protocol):
     """A matrix field such as cs.GalerkinField(system) or cs.full_field(system)."""
 
     @property
-    def order(self) -> int: ...
+    def order(self) -> int:
+        """Number of coordinates."""
 
     @property
-    def drag(self) -> float: ...
+    def drag(self) -> float:
+        """Of a node, pN s/um."""
 
     @property
-    def stiffness(self) -> Any: ...
+    def stiffness(self) -> Any:
+        """Of the coordinates (order, order), pN/um."""
 
     @property
-    def nodes(self) -> np.ndarray: ...
+    def nodes(self) -> np.ndarray:
+        """Nodes at rest (n, 3), um."""
 
     @property
-    def surface(self) -> np.ndarray: ...
+    def surface(self) -> np.ndarray:
+        """Numbers of the nodes that adhesions reach."""
 
     def project(self, f: np.ndarray) -> np.ndarray:
         """Nodal loads (..., n, 3) as loads on the field's coordinates (..., order)."""
@@ -198,7 +211,8 @@ class LoadPort(Protocol):
     """A load port such as cs.PatchPort()."""
 
     @property
-    def n_loads(self) -> int: ...
+    def n_loads(self) -> int:
+        """Number of loads."""
 
     def gather(self, field: MatrixField, position: np.ndarray, heading: float) -> np.ndarray:
         """E (n_loads, order): what the port reads of the field's coordinates."""
@@ -280,10 +294,12 @@ class Cells(Protocol):
     """Coupled cells, made by cs.couple(model, n_cells)."""
 
     @property
-    def n_cells(self) -> int: ...
+    def n_cells(self) -> int:
+        """K."""
 
     @property
-    def order(self) -> int: ...
+    def order(self) -> int:
+        """Latent states of one cell."""
 
     def poles(self) -> np.ndarray:
         """Every pole, 1/s."""

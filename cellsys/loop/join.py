@@ -34,7 +34,10 @@ def closed_loop(
     normalise: bool = True,
     z0: np.ndarray | None = None,
     p0: np.ndarray | None = None,
-) -> ScheduledLoop: ...
+) -> ScheduledLoop:
+    """The loop of a cell whose plant follows its clock."""
+
+
 @overload
 def closed_loop(
     model: LatentModel,
@@ -44,7 +47,10 @@ def closed_loop(
     normalise: bool = True,
     z0: np.ndarray | None = None,
     p0: np.ndarray | None = None,
-) -> ClosedLoop: ...
+) -> ClosedLoop:
+    """The loop of a plant that is the same at all times."""
+
+
 @overload
 def closed_loop(
     model: LinearModel,
@@ -54,7 +60,10 @@ def closed_loop(
     normalise: bool = True,
     z0: np.ndarray | None = None,
     p0: np.ndarray | None = None,
-) -> ClosedLoop | ScheduledLoop: ...
+) -> ClosedLoop | ScheduledLoop:
+    """The loop of any linear model."""
+
+
 @checked
 def closed_loop(
     model: LinearModel,

@@ -58,7 +58,8 @@ class Coupling(Protocol):
     """A coupling such as cs.Superposition(), cs.Feedback() or cs.LoadPorts(field, positions)."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """What messages call it."""
 
     def join(self, request: CouplingRequest) -> Cells:
         """The coupled cells, or a refusal of what this coupling cannot take."""
