@@ -111,7 +111,7 @@ def closed_loops(model: cs.LatentModel, latent: np.ndarray, numbers, duration: f
             f"{found.plant_poles.abscissa:.4g} 1/s"
         )
     t = np.linspace(0.0, duration, 31)
-    method = cs.DOP853(rtol=1e-6, atol=1e-6)
+    method = cs.Exponential(rtol=1e-6, atol=1e-6)
     angles = np.array([0.0, 0.7, 2.0])
     together = cs.couple(model, 3, headings=angles).simulate(t, method)
     for k, angle in enumerate(angles):

@@ -230,8 +230,8 @@ def main(quick: bool = False, out: str | None = None) -> None:
         done = cells.simulate(record.amplitude[:, None], record.heading[:, None], place)
         seconds = min(seconds, time.perf_counter() - began)
         truth = run.block("matrix.displacement")[:: run.stride(data.step)]
-        u = field.displacement(done.q)
-        miss.append((relative(model.nodes(done.z[:, 0]) - record.nodes, record.nodes),
+        u = field.displacement(done.block("field.modes"))
+        miss.append((relative(model.nodes(done.block("z")[:, 0]) - record.nodes, record.nodes),
                      float(np.linalg.norm(u - truth) / np.linalg.norm(truth))))  # fmt: skip
     rc, re = np.sqrt(np.mean(np.square(miss), axis=0))
     print(

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from cellsys.arguments import needs
-from cellsys.system import Matrix, OdeSystem
+from cellsys.system import Layout, Matrix, OdeSystem
 from cellsys.trajectory import Trajectory
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "Reductor",
     "Regression",
     "StateSpaceLike",
+    "StepSystem",
     "SteppedField",
     "Stepping",
     "TransferFunctionLike",
@@ -42,6 +43,7 @@ __all__ = [
 ]
 
 
+@runtime_checkable
 class WholeRun(Protocol):
     """An integrator that finds a whole run at once."""
 
@@ -51,6 +53,7 @@ class WholeRun(Protocol):
         """States at the times t, and the averages of eta and u between them."""
 
 
+@runtime_checkable
 class Stepping(Protocol):
     """An integrator that goes from sample to sample by a stepper of its own."""
 
@@ -61,6 +64,17 @@ class Stepping(Protocol):
 Integrator = Annotated[
     WholeRun | Stepping, "an integrator such as cs.DOP853(rtol=1e-8, atol=1e-10)"
 ]
+
+
+class StepSystem(Protocol):
+    """A system with a step of its own, x+ = step(x, u, t), every dt seconds."""
+
+    states: Layout
+    x0: np.ndarray
+    dt: float
+
+    def step(self, x: np.ndarray, u: np.ndarray | None, t: float) -> np.ndarray:
+        """x (n,) at t + dt from x at t, under the inputs u (n_u,) held over the step."""
 
 
 class ReducedModel(Protocol):

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -250,6 +250,9 @@ class OdeSystem:
     W_eta: Annotated[sp.csr_array, Takes(Matrix | None)] = None
     law: Callable[[Any, Any], Any] | None = None
     forcing: Callable[[Any, Any], Any] | None = None
+
+    # Whether the system changes between steps: binding, rupture, thermal forces.
+    discrete: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         for name in ("states", "auxiliaries", "inputs"):

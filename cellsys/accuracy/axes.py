@@ -10,15 +10,14 @@ import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.contracts import LinearModel, Reductor
 from cellsys.errors import DataError, ParameterError
-from cellsys.integrate import DOP853, LinearlyImplicit, simulate
-from cellsys.integrate.simulate import check_times
+from cellsys.integrate import DOP853, Exponential, LinearlyImplicit, simulate
+from cellsys.integrate.record import check_times
 from cellsys.kinds import Count, Seed
 from cellsys.population import (
     Feedback,
@@ -244,7 +243,7 @@ def coupling_cost(
         Samples, s.
     form : Superposition, MappedSuperposition or Feedback
     tolerance : float
-        rtol = atol of DOP853; in the exact route, of the splitting (polarity against states).
+        rtol = atol of DOP853; in the exact route, of `Exponential`.
     dense_up_to : int
         Largest K m that is run by the dense matrix.
     seed : int
@@ -260,19 +259,13 @@ def coupling_cost(
     for K in counts:
         headings = np.random.default_rng(seed).uniform(-np.pi, np.pi, K)
         cells = couple(model, K, form, headings=headings)
-        truth = cells.simulate(t, DOP853(rtol=1e-11, atol=1e-11)).x
+        truth = cells.simulate(t, Exponential(rtol=1e-11, atol=1e-11)).x
         method = DOP853(rtol=tolerance, atol=tolerance)
-
-        def whole(cells: Any = cells, method: Any = method) -> np.ndarray:
-            system = cells.system
-            found = simulate(system, method, t, auxiliaries=False)
-            n = cells.n_cells * cells.order
-            z = [system.whole.read(x[:n].reshape(-1, cells.order)).ravel() for x in found.x]
-            return np.column_stack([z, found.x[:, n:]])
+        exact = Exponential(rtol=tolerance, atol=tolerance)
 
         ways: dict[str, Callable[[], np.ndarray]] = {
-            "exact": lambda cells=cells, method=method: cells.simulate(t, method).x,
-            "modal": whole,
+            "exact": lambda cells=cells, exact=exact: cells.simulate(t, exact).x,
+            "modal": lambda cells=cells, method=method: cells.simulate(t, method).x,
         }
         if K > 1 and K * cells.order <= dense_up_to:
             weights = np.ones((K, K)) - np.eye(K)

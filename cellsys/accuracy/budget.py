@@ -33,7 +33,7 @@ from cellsys.arguments import checked
 from cellsys.contracts import Integrator, LinearModel
 from cellsys.errors import CellsysError, DataError, IntegrationError, ParameterError
 from cellsys.integrate import CVODES, DOP853, LSODA, Exponential
-from cellsys.integrate.simulate import check_times
+from cellsys.integrate.record import check_times
 from cellsys.kinds import Seed
 from cellsys.loop import ClosedLoop, ScheduledLoop, closed_loop
 from cellsys.scene import Scene

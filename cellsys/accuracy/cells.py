@@ -107,7 +107,8 @@ def cells_cost(
             began = time.perf_counter()
             run = cells.simulate(amplitude, heading, places)
             seconds = min(seconds, time.perf_counter() - began)
-        nodes, u = model.nodes(run.z), field.displacement(run.q)
+        nodes = model.nodes(run.block("z"))
+        u = field.displacement(run.block("field.modes"))
         body = np.stack([truth.block(n)[::every] for n in names], axis=1)
         errors = {
             "cells": _missed(nodes, body[0], body),

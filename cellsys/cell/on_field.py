@@ -13,7 +13,8 @@ step of the field does not gain energy.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,12 @@ from cellsys.cell.model import EquivariantModel
 from cellsys.cell.port import Footprint, PortSites
 from cellsys.contracts import SteppedField
 from cellsys.errors import DataError, DimensionError, IntegrationError
+from cellsys.integrate.estimate import EULER
+from cellsys.integrate.simulate import simulate
+from cellsys.integrate.step_runs import StepRun
 from cellsys.kinds import Count
+from cellsys.system import Block, Layout
+from cellsys.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,28 +41,6 @@ class PortedState:
     cells: CellState
     q: np.ndarray
     rate: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class PortedRun:
-    """A run of cells on a field.
-
-    Parameters
-    ----------
-    t : (T,)
-        s.
-    z : (T, K, m)
-        Real latent states of every cell, centroids last.
-    q : (T, order)
-        Coordinates of the field.
-    exchanges : int
-        Greatest number of exchanges in a step.
-    """
-
-    t: np.ndarray
-    z: np.ndarray
-    q: np.ndarray
-    exchanges: int
 
 
 class Mixing:
@@ -245,8 +229,12 @@ class CellsOnField:
         *,
         z: np.ndarray | None = None,
         t0: float = 0.0,
-    ) -> PortedRun:
-        """Run under amplitude and heading (T - 1, K) held over steps of the model."""
+    ) -> Trajectory:
+        """Run under amplitude and heading (T - 1, K) held over steps of the model.
+
+        States ``z`` (K, m), centroids last, and ``field.modes`` (order,); the statistics have the
+        greatest number of `exchanges` in a step.
+        """
         state = self.start(places, z)
         K = len(state.cells.place)
         amplitude, heading = (np.asarray(v, dtype=float) for v in (amplitude, heading))
@@ -257,14 +245,112 @@ class CellsOnField:
             )
         if not (np.all(np.isfinite(amplitude)) and np.all(np.isfinite(heading))):
             raise DataError("amplitude or heading holds NaN or inf")
-        T = len(amplitude) + 1
-        z_out = np.empty((T, K, self.model.order))
-        q_out = np.empty((T, self.field.order))
-        z_out[0], q_out[0] = self.model.dynamics.join(state.cells), state.q
-        memory, most = self.field.memory(), 0
-        t = t0 + self.model.dt * np.arange(T)
-        for k in range(T - 1):
-            state, exchanges = self.step(state, amplitude[k], heading[k], t[k], memory)
-            most = max(most, exchanges)
-            z_out[k + 1], q_out[k + 1] = self.model.dynamics.join(state.cells), state.q
-        return PortedRun(t, z_out, q_out, most)
+        t = t0 + self.model.dt * np.arange(len(amplitude) + 1)
+        system = CommandedCells(self, state)
+        u = np.hstack([amplitude, heading])
+        return simulate(system, None, t, u=u, label=f"{K} commanded cells on one field")
+
+    def layout(self, K: int) -> Layout:
+        """z (K, m) and the field's coordinates."""
+        order = self.field.order
+        return Layout(
+            [Block("z", (K, self.model.order)), Block("field.modes", (order,), "um", "field")]
+        )
+
+    def pack(self, state: PortedState) -> np.ndarray:
+        """Cells, field and its velocity as one array."""
+        z = self.model.dynamics.join(state.cells)
+        return np.concatenate([z.ravel(), state.q, state.rate])
+
+    def unpack(self, x: np.ndarray, K: int) -> PortedState:
+        """Inverse of `pack`."""
+        m, n = self.model.order, self.field.order
+        z, q, rate = np.split(x, [K * m, K * m + n])
+        return PortedState(self.model.dynamics.split(z.reshape(K, m)), q, rate)
+
+
+@dataclass(frozen=True, eq=False)
+class CommandedCells:
+    """Cells on a field as a system with a step of its own; inputs: amplitudes, then headings.
+
+    Parameters
+    ----------
+    whole : CellsOnField
+    start : PortedState
+    parts : int
+        Steps of the field for one of the cells.
+    """
+
+    whole: CellsOnField
+    start: PortedState
+    parts: int = 1
+
+    @property
+    def n_cells(self) -> int:
+        """K."""
+        return len(self.start.cells.place)
+
+    @property
+    def dt(self) -> float:
+        """Step of the model, s."""
+        return self.whole.model.dt
+
+    @property
+    def states(self) -> Layout:
+        """z, field, and the field's velocity over the last step."""
+        z, q = self.whole.layout(self.n_cells)
+        return Layout([z, q, Block("field.rate", q.shape, "um/s", "field")])
+
+    @property
+    def x0(self) -> np.ndarray:
+        """The start."""
+        return self.whole.pack(self.start)
+
+    @property
+    def better_by(self) -> tuple[str, float]:
+        """How `better` is better; the error of implicit Euler over its distance to half steps."""
+        return "two steps of the field for one", EULER
+
+    def better(self) -> CommandedCells:
+        """Half the step of the field."""
+        return replace(self, parts=2 * self.parts)
+
+    def begin(self) -> CommandedRun:
+        """A run."""
+        return CommandedRun(self)
+
+    def step(self, x: np.ndarray, u: np.ndarray | None, t: float) -> np.ndarray:
+        """x a step later under u (2 K,); amplitude 1 and heading 0 when left out."""
+        return self.begin().step(x, u, t)
+
+
+class CommandedRun(StepRun):
+    """A run: the memory of the field's steps and the most exchanges of one."""
+
+    system: CommandedCells
+
+    def __init__(self, system: CommandedCells) -> None:
+        super().__init__(system)
+        self.memory, self.exchanges = system.whole.field.memory(), 0
+
+    @property
+    def recorded(self) -> Layout:
+        """z and field."""
+        return self.system.whole.layout(self.system.n_cells)
+
+    def record(self, x: np.ndarray) -> np.ndarray:
+        """The states without the field's velocity."""
+        return x[: self.recorded.size]
+
+    def step(self, x: np.ndarray, u: np.ndarray | None, t: float) -> np.ndarray:
+        """x a step later."""
+        system, K = self.system, self.system.n_cells
+        a, h = (np.ones(K), np.zeros(K)) if u is None else (u[:K], u[K:])
+        begin = system.whole.unpack(x, K)
+        state, used = system.whole.step(begin, a, h, t, self.memory, system.parts)
+        self.exchanges = max(self.exchanges, used)
+        return system.whole.pack(state)
+
+    def statistics(self) -> Mapping[str, Any]:
+        """Greatest number of exchanges in a step."""
+        return {"exchanges": self.exchanges}

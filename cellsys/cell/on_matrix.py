@@ -57,7 +57,7 @@ def matrix_row(
         )
         size = float(np.linalg.norm(truth))
         found = {
-            "model": field.displacement(done.q),
+            "model": field.displacement(done.block("field.modes")),
             "floor": field.displacement(field.project(truth)),
             "nothing moves": np.zeros_like(truth),
         }

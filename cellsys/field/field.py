@@ -8,7 +8,6 @@ y = E q' [notes: theory, load ports].
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Callable
 from typing import Any
 
@@ -18,8 +17,8 @@ from cellsys.errors import DataError, DimensionError, IntegrationError, Paramete
 from cellsys.field.descent import StepInfo, StepMemory, StepProblem, implicit_step
 from cellsys.field.elasticity import MatrixEnergy
 from cellsys.field.linear import LinearisedField
-from cellsys.integrate.estimate import EULER, estimate_by
-from cellsys.system import Block, Layout
+from cellsys.field.stepping import FieldSystem
+from cellsys.integrate.simulate import simulate
 from cellsys.trajectory import Trajectory
 
 
@@ -216,37 +215,8 @@ class GradientField(LinearisedField):
         h = dt * every
         self._check_step(h)
         q = np.zeros(self.order) if q0 is None else self._checked(q0, "q0")
-        began = clock.perf_counter()
-        x, infos = self._march(q, f, h)
-        statistics = {
-            "evaluations": sum(i.iterations for i in infos),
-            "halvings": sum(i.halvings for i in infos),
-            "fresh": sum(i.fresh for i in infos),
-            "residual": max((i.residual for i in infos), default=0.0),
-            "least_balance": min((i.work - i.gain for i in infos), default=0.0),
-            "wall_time": clock.perf_counter() - began,
-        }
-        states = Layout([Block("field.modes", (self.order,), "um", "field")])
-        t = h * np.arange(len(x))
-
-        def better() -> np.ndarray:
-            return self._march(q, np.repeat(f, 2, axis=0), 0.5 * h)[0][::2]
-
-        estimator = estimate_by(x, better, "half the step", share=EULER)
-        return Trajectory(
-            t, x, states, statistics=statistics, label="matrix field", estimator=estimator
-        )
-
-    def _march(
-        self, q: np.ndarray, loads: np.ndarray, h: float
-    ) -> tuple[np.ndarray, list[StepInfo]]:
-        """Coordinates (T + 1, order) from q under loads (T, order) held over steps of h."""
-        x, infos, memory = np.empty((len(loads) + 1, self.order)), [], self.memory()
-        x[0] = q
-        for k, load in enumerate(loads):
-            x[k + 1], info = self.step(x[k], load, h, memory=memory, t=k * h)
-            infos.append(info)
-        return x, infos
+        system = FieldSystem(self, h, q)
+        return simulate(system, None, h * np.arange(len(f) + 1), u=f, label="matrix field")
 
     # Solves and checks
 

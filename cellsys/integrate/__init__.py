@@ -13,6 +13,8 @@ from cellsys.integrate.parameter_sensitivities import (
 from cellsys.integrate.rkc import RKC
 from cellsys.integrate.scipy_methods import DOP853, LSODA, Radau
 from cellsys.integrate.simulate import simulate
+from cellsys.integrate.splitting import Splitting
+from cellsys.integrate.step_runs import StepRun
 from cellsys.integrate.stepping import Stepper
 from cellsys.integrate.symbolic import CVODES, IDAS, Collocation, RungeKutta4
 from cellsys.renamed import old_names
@@ -33,6 +35,8 @@ __all__ = [
     "Radau",
     "RungeKutta4",
     "Sensitivities",
+    "Splitting",
+    "StepRun",
     "Stepper",
     "end_gradient",
     "parameter_sensitivities",

@@ -9,6 +9,7 @@ their error, read from the samples.
 
 from __future__ import annotations
 
+import dataclasses
 import time as clock
 from collections.abc import Callable
 from dataclasses import replace
@@ -90,6 +91,10 @@ def finer(integrator: Any) -> Any:
 def _twice(
     integrator: Any, x: np.ndarray, again: Callable[[Any], np.ndarray]
 ) -> tuple[str, np.ndarray | None]:
+    if not dataclasses.is_dataclass(integrator) or not (
+        {"rtol", "step"} & {field.name for field in dataclasses.fields(integrator)}
+    ):
+        return f"{type(integrator).__name__} carries no tolerance or step to be refined", None
     second = finer(integrator)
     if second is None:
         return "the tolerance is at rounding", None

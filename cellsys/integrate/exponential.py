@@ -20,6 +20,7 @@ from cellsys.integrate.exponential_steps import ExponentialStepper
 from cellsys.integrate.propagation import average_commands, sample, spacing
 from cellsys.integrate.semilinear import Semilinear
 from cellsys.integrate.solution import Solution
+from cellsys.integrate.splitting import Splitting
 from cellsys.integrate.stepping import check_step
 from cellsys.integrate.windows import Path, WindowSolver
 from cellsys.system import OdeSystem
@@ -39,7 +40,8 @@ class Exponential:
         Largest step, s, of a fixed-step exponential Runge-Kutta method, for any system. For
         constant polarity its result is exact for any step.
     order : {1, 2, 3, 4}
-        Order of the fixed-step method in the part that is not linear.
+        Order of the fixed-step method in the part that is not linear; 2 or 4 on coupled cells,
+        whose exact flows are composed (`Splitting`).
 
     Raises
     ------
@@ -74,6 +76,18 @@ class Exponential:
                     )
         if self.order not in (1, 2, 3, 4):
             raise ParameterError(f"Exponential.order must be 1, 2, 3 or 4, got {self.order!r}")
+
+    def of_cells(self) -> Splitting:
+        """The method on coupled cells: their exact flows composed, to order 6 or as given.
+
+        Raises
+        ------
+        ParameterError
+            When a fixed step comes with the order 1 or 3.
+        """
+        if self.step is None:
+            return Splitting(rtol=self.rtol, atol=self.atol)
+        return Splitting(step=self.step, order=self.order)
 
     def solve(
         self, system: OdeSystem, t: np.ndarray, x0: np.ndarray, *, averages: bool = True

@@ -18,7 +18,7 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.contracts import Integrator
 from cellsys.errors import DimensionError, IntegrationError, ParameterError
-from cellsys.integrate.simulate import check_times
+from cellsys.integrate.record import check_times
 from cellsys.integrate.symbolic import integrator_of
 from cellsys.system import Layout as Layout  # what the inherited __init__ is annotated with
 from cellsys.system import OdeSystem

@@ -67,7 +67,7 @@ class RKC:
         self, system: OdeSystem, t0: float, x0: np.ndarray, rng: np.random.Generator
     ) -> Stepper:
         """A stepper at (t0, x0)."""
-        if getattr(system, "discrete", False) and not np.isfinite(self.largest_step):
+        if system.discrete and not np.isfinite(self.largest_step):
             raise ParameterError(
                 "this system changes between steps (binding, rupture); give RKC a largest_step"
             )
@@ -162,7 +162,7 @@ class _ChebyshevStepper(Stepper):
     def _step(self, stop: float) -> tuple[np.ndarray, np.ndarray, float]:
         """One accepted step towards `stop`: averages of eta and u over it, and its length."""
         method, system, t = self.method, self.system, self.t
-        if isinstance(system, OverdampedSystem) and getattr(system, "discrete", False):
+        if isinstance(system, OverdampedSystem) and system.discrete:
             self.x, happened = system.between_steps(
                 t, self.x, min(method.largest_step, stop - t), self.rng
             )

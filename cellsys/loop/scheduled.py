@@ -7,28 +7,26 @@ in each part. The error of the coupling is estimated by the run of `substeps`.
 
 from __future__ import annotations
 
-import time as clock
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.cell.dynamics import CellState
-from cellsys.cell.forecast import watched
 from cellsys.cell.model import EquivariantModel
 from cellsys.contracts import Integrator
-from cellsys.errors import DataError, ParameterError
-from cellsys.integrate.estimate import estimate_by
+from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.integrate.record import check_times
+from cellsys.integrate.simulate import simulate
+from cellsys.integrate.step_runs import marks_of, refuse_integrator
 from cellsys.loop.closed_loop import ClosedLoop
 from cellsys.loop.loop_system import model_error
 from cellsys.loop.polarity import PolarityLaw
-from cellsys.loop.substeps import SUBSTEPS, headings_inside
+from cellsys.loop.scheduled_system import ScheduledSystem
 from cellsys.model.network_sensor import LocalSensor
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.response import Margins, margins
-from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 
 
@@ -79,99 +77,31 @@ class ScheduledLoop:
         Trajectory
             Its events say when commands, shape or latent state leave the trained range.
         """
-        if integrator is not None:
-            raise ParameterError(
-                f"an equivariant plant steps by itself every {self.model.dt:g} s and takes no "
-                f"integrator, got {integrator!r}; use closed_loop(model.at(t)) for a frozen plant"
-            )
-        dt, t = self.model.dt, np.asarray(t, dtype=float)
-        steps = np.round(t / dt).astype(int)
-        if t.ndim != 1 or not len(t) or np.any(np.abs(steps * dt - t) > 1e-6) or steps[0] != 0:
-            raise ParameterError(f"t must start at 0 and lie on multiples of {dt:g} s")
-        if np.any(np.diff(steps) <= 0):
-            raise DataError("t must increase")
-        K = int(steps[-1])
-        drive = np.broadcast_to(np.asarray(amplitude, dtype=float), (K,))
+        instead = "use closed_loop(model.at(t)) for a frozen plant"
+        refuse_integrator(self.system, integrator, instead)
+        times = check_times(t)
+        if times[0] != 0:
+            raise ParameterError(f"t must start at 0 s, contact; got {times[0]:g} s")
+        steps = int(marks_of(times, self.model.dt, "the model")[-1])
+        drive = np.asarray(amplitude, dtype=float)
+        if drive.shape not in ((), (steps,)):
+            raise DimensionError(f"amplitude must be a number or ({steps},), got {drive.shape}")
         if not np.all(np.isfinite(drive)):
             raise DataError("amplitude holds NaN or inf")
-        began = clock.perf_counter()
-        z, p = self._run(drive, self._step)
-        d = self.sensor.direction(z)
-        heading = np.arctan2(p[:-1, 1], p[:-1, 0])
-        states = Layout(
-            [Block("z", (self.order,)), Block("p", (3,), "1", "controller", "internal")]
-        )
-        x = np.concatenate([z, p], axis=1)[steps]
-
-        def better() -> np.ndarray:
-            return np.concatenate(self._run(drive, self._finer_steps()), axis=1)[steps]
-
-        return Trajectory(
-            t,
-            x,
-            states,
-            p=p[steps][:, None],
-            d=d[steps][:, None],
-            events=watched(self.model, dt * np.arange(K + 1), z, drive, heading, "the cell"),
-            statistics={
-                "steps": K,
-                "wall_time": clock.perf_counter() - began,
-                "estimate_factor": 4.0,
-            },
+        return simulate(
+            self.system,
+            None,
+            times,
+            u=np.broadcast_to(drive, (steps,))[:, None],
             label="closed loop, equivariant",
             model_error=model_error(self.model),
-            estimator=estimate_by(x, better, f"heading in {SUBSTEPS} sub-steps"),
         )
 
-    def _run(self, drive: np.ndarray, step: Callable) -> tuple[np.ndarray, np.ndarray]:
-        """States (K + 1, m) and polarities (K + 1, 3) under the amplitudes (K,)."""
-        K = len(drive)
-        z, p = np.empty((K + 1, self.order)), np.empty((K + 1, 3))
-        z[0], p[0] = self.z0, self.p0
-        for k in range(K):
-            z[k + 1], p[k + 1] = step(z[k], p[k], k * self.model.dt, float(drive[k]))
-        return z, p
-
-    def _finer_steps(self) -> Callable:
-        """A step like `_step` with the heading followed inside it; for one run."""
-        dt, law, last = self.model.dt, self.controller, None
-
-        def step(z: np.ndarray, p: np.ndarray, t: float, amplitude: float) -> tuple:
-            nonlocal last
-            now, (ahead, _) = self.sensor.direction(z), self._step(z, p, t, amplitude)
-            for _ in range(2):
-                three = (last, now, self.sensor.direction(ahead))
-                angles, end = headings_inside(law.step, p, three, dt)
-                ahead = self._moved(z, angles, t, amplitude)
-            last = now
-            return ahead, end
-
-        return step
-
-    def _step(
-        self, z: np.ndarray, p: np.ndarray, t: float, amplitude: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        dt, law = self.model.dt, self.controller
-        before = self.sensor.direction(z)
-        middle = law.step(p, before, 0.5 * dt)
-        ahead = self._plant(z, middle, t, amplitude)
-        mean = 0.5 * (before + self.sensor.direction(ahead))
-        size = float(np.linalg.norm(mean))
-        mean = mean / size if size > 0 else before
-        return self._plant(z, law.step(p, mean, 0.5 * dt), t, amplitude), law.step(p, mean, dt)
-
-    def _plant(self, z: np.ndarray, p: np.ndarray, t: float, amplitude: float) -> np.ndarray:
-        return self._moved(z, np.arctan2(p[1:2], p[:1]), t, amplitude)
-
-    def _moved(self, z: np.ndarray, angles: np.ndarray, t: float, amplitude: float) -> np.ndarray:
-        """z after a step under the mean of the harmonics of these headings."""
-        dynamics = self.model.dynamics
-        state, w = dynamics.split(z), dynamics.clock.weights(t)
-        drive = np.full(len(angles), amplitude)
-        features = [f.mean(axis=0) for f in dynamics.features(drive, angles)]
-        x = dynamics.advance(state, features, w)
-        moved = dynamics.moved(state.x[1], x[1], features[1], w)
-        return dynamics.join(CellState(tuple(x), state.place + moved))
+    @cached_property
+    def system(self) -> ScheduledSystem:
+        """The loop as a system with a step of its own, for `simulate`."""
+        start = np.concatenate([self.z0, self.p0])
+        return ScheduledSystem(self.model, self.controller, self.sensor, start)
 
     def linearize(self, at: float | None = None, *, slower_than: float = 0.0) -> Any:
         """`Linearisation` of the loop with the plant frozen at time `at` (default: the end).

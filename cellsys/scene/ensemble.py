@@ -17,7 +17,8 @@ from cellsys.errors import (
     ForeignRunWarning,
     MemoryBudgetError,
 )
-from cellsys.integrate.simulate import first_samples, record_shapes, simulate, trajectory_of
+from cellsys.integrate.record import first_samples, record_shapes, trajectory_of
+from cellsys.integrate.simulate import simulate
 from cellsys.mechanics.contact import touching, until_contact
 from cellsys.scene.build import build
 from cellsys.scene.executors import executor_of, gather

@@ -120,7 +120,8 @@ def test_trained_cells_beside_the_full_order_run(scene, tmp_path):
     amplitude, heading = step_commands(alone, t)
     cells = cs.CellsOnField(model, field).simulate(amplitude, heading, one.position)
     body = runs[3].block("cell1.position")[::2]
-    missed = np.linalg.norm(model.nodes(cells.z[:, 0]) - body) / np.linalg.norm(body - body[0])
+    missed = np.linalg.norm(model.nodes(cells.block("z")[:, 0]) - body)
+    missed /= np.linalg.norm(body - body[0])
     assert reduced.errors["cells"] == pytest.approx(missed)
     assert full.setting == "full order (reference)"
     assert not full.errors

@@ -88,19 +88,20 @@ def test_exchanging_two_cells_changes_nothing(field):
     places = np.array([[-6.0, 1.0], [7.0, -2.0]])
     one = cells.simulate(a, h, places)
     other = cells.simulate(a[:, ::-1], h[:, ::-1], places[::-1])
-    np.testing.assert_allclose(one.z, other.z[:, ::-1], atol=1e-9)
-    np.testing.assert_allclose(one.q, other.q, atol=1e-9)
+    np.testing.assert_allclose(one.block("z"), other.block("z")[:, ::-1], atol=1e-9)
+    modes = [run.block("field.modes") for run in (one, other)]
+    np.testing.assert_allclose(*modes, atol=1e-9)
 
 
 def test_cells_drive_the_matrix_and_ride_on_it(field):
     m = model()
     run = cs.CellsOnField(m, field).simulate(np.ones((15, 1)), np.zeros((15, 1)), np.zeros(2))
-    assert np.abs(field.displacement(run.q[-1])).max() > 1e-3
-    assert run.exchanges >= 1
+    assert np.abs(field.displacement(run.block("field.modes")[-1])).max() > 1e-3
+    assert run.statistics["exchanges"] >= 1
     alone = m.simulate_commands(m.z_start, np.ones(15), np.zeros(15))
     # charges do not see the field where no gain is determined by the data
     if all(b.gamma == 0 for b in m.dynamics.blocks):
-        np.testing.assert_allclose(run.z[:, 0, :-2], alone[:, :-2], atol=1e-9)
+        np.testing.assert_allclose(run.block("z")[:, 0, :-2], alone[:, :-2], atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 
 from cellsys.errors import IntegrationError
 from cellsys.integrate import ExplicitEuler, LinearlyImplicit, simulate, stability_limit
-from cellsys.integrate.simulate import record_shapes
+from cellsys.integrate.record import record_shapes
 from cellsys.mechanics.effects.adhesion import FocalAdhesion
 from cellsys.mechanics.geometry.membrane import enclosed_volume
 from cellsys.scene import Scene, build, load_scene

@@ -328,7 +328,7 @@ class Stopping(RunWriter):
 @pytest.mark.parametrize("method", FIXED)
 @pytest.mark.parametrize("before", [False, True])
 def test_an_interrupted_run_continues_bit_for_bit(tmp_path, method, before):
-    from cellsys.integrate.simulate import record_shapes
+    from cellsys.integrate.record import record_shapes
 
     t, step = np.arange(0.0, 71.0), 0.015 if method is ExplicitEuler else 0.1
     shapes = record_shapes(Springs(), t, True)
@@ -351,7 +351,7 @@ def test_an_interrupted_run_continues_bit_for_bit(tmp_path, method, before):
 
 
 def test_a_run_with_a_sink_is_the_run_without(tmp_path):
-    from cellsys.integrate.simulate import record_shapes
+    from cellsys.integrate.record import record_shapes
 
     t = np.arange(0.0, 45.0)
     sink = RunWriter(tmp_path / "a", record_shapes(Springs(), t, True), {})

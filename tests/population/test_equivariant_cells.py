@@ -156,8 +156,8 @@ def test_one_cell_is_the_single_closed_cell(field):
     angle = np.linspace(0, 1, 10)[:, None]
     run = cells(m, field, PAIR[:1]).simulate(t, heading=angle)
     single = CellsOnField(m, field).simulate(np.ones((10, 1)), angle, PAIR[:1])
-    assert np.abs(run.block("z") - single.z).max() < 1e-12
-    assert np.abs(run.block("field.modes") - single.q).max() < 1e-12
+    assert np.abs(run.block("z") - single.block("z")).max() < 1e-12
+    assert np.abs(run.block("field.modes") - single.block("field.modes")).max() < 1e-12
 
 
 def test_exchanging_two_cells_changes_nothing(field):

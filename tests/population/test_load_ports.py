@@ -13,11 +13,11 @@ from cellsys.errors import (
     ParameterError,
     RepresentationError,
 )
-from cellsys.integrate import DOP853
+from cellsys.integrate import Exponential, simulate
 from cellsys.loop import PolarityLaw
 from cellsys.model import StiffnessSensor
 from cellsys.population import CellPort, LinearField, LoadPorts, PatchPort, couple
-from cellsys.population.ported.ported_run import PortFlow, _Steps, ported_loop
+from cellsys.population.ported.ported_run import PortedSteps, PortFlow, initial, ported_loop
 from cellsys.response import poles
 from tests.population.systems import HEADINGS, match, model
 
@@ -187,7 +187,7 @@ def test_exchanging_two_cells_changes_nothing(dt):
     t = np.linspace(0, 60, 7)
     z0 = np.random.default_rng(1).standard_normal((4, 5))
     swap = [1, 0, 2, 3]
-    method = DOP853(rtol=1e-9, atol=1e-9)
+    method = None if dt else Exponential(rtol=1e-9, atol=1e-9)
     a = couple(c, coupling=LoadPorts(matrix, x, theta, PORT)).simulate(t, method, z0=z0)
     b = couple(c, coupling=LoadPorts(matrix, x[swap], theta[swap], PORT)).simulate(
         t, method, z0=z0[swap]
@@ -248,10 +248,11 @@ def test_a_hundred_steered_cells_stay_bounded(dt):
     x, theta = places(100, 5)
     cells = couple(cell(m=3, dt=dt, steered=True), coupling=LoadPorts(field(), x, theta, PORT))
     t = np.linspace(0, 240, 5)
-    run = cells.simulate(t, DOP853(rtol=1e-3, atol=1e-3), z0=np.ones(3))
+    method = None if dt else Exponential(rtol=1e-3, atol=1e-3)
+    run = cells.simulate(t, method, z0=np.ones(3))
     alone = couple(
         cell(m=3, dt=dt, steered=True), coupling=LoadPorts(field(), x[:1], theta[:1], PORT)
-    ).simulate(t, DOP853(rtol=1e-3, atol=1e-3), z0=np.ones(3))
+    ).simulate(t, method, z0=np.ones(3))
     assert np.abs(run.block("z")).max() < 5 * np.abs(alone.block("z")).max()
     assert np.abs(np.linalg.norm(run.p, axis=2) - 1).max() < 1e-12
 
@@ -322,15 +323,13 @@ def test_the_estimate_covers_the_error_of_steps():
     assert np.abs(np.linalg.matrix_power(root, parts) - flow.M).max() < 1e-9
     held = sum(np.linalg.matrix_power(root, i) for i in range(parts))
     flow.M, flow.drive = root, np.linalg.solve(held, flow.drive)
-    start = np.concatenate([np.ones(9), np.zeros(cells.coupling.field.order)])
-    p0 = np.column_stack([np.cos(theta), np.sin(theta), np.zeros(3)])
-    fine = _Steps(cells, flow, ported_loop(cells), start, p0)
-    fine.dt = 2.0 / parts
-    error = np.zeros(run.x.shape[1])
-    for k in range(1, len(t)):
-        fine.advance(t[k - 1], t[k])
-        miss = np.abs(run.x[k] - np.concatenate([fine.x, fine.p.ravel()]))
-        error = np.maximum(error, miss)
+    loop = ported_loop(cells)
+
+    class Fine(PortedSteps):
+        dt = 2.0 / parts
+
+    fine = simulate(Fine(cells, flow, loop, initial(cells, loop, np.ones(3), None, None)), None, t)
+    error = np.abs(run.x - fine.x).max(axis=0)
     for block in run.states:
         part = run.states.slice(block.name)
         assert error[part].max() > 1e-4
@@ -343,7 +342,8 @@ def test_the_estimate_covers_the_error_of_the_integrator(steered):
     x, theta = places(3, 5)
     cells = couple(cell(m=3, steered=steered), coupling=LoadPorts(field(), x, theta, PORT))
     t = np.linspace(0, 240, 7)
-    run, exact = (cells.simulate(t, DOP853(rtol=r, atol=r), z0=np.ones(3)) for r in (1e-4, 1e-11))
+    methods = [Exponential(rtol=r, atol=r) for r in (1e-4, 1e-11)]
+    run, exact = (cells.simulate(t, method, z0=np.ones(3)) for method in methods)
     error, told = np.abs(run.x - exact.x).max(), run.error.absolute.max()
     if steered:
         assert error <= told <= 20 * error

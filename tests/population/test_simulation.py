@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg as sla
 
 from cellsys.errors import IntegrationError, MemoryBudgetError, ParameterError
-from cellsys.integrate import DOP853, RungeKutta4, simulate
+from cellsys.integrate import DOP853, Exponential, Splitting, simulate
 from cellsys.laws.polarity import exact_step, exact_steps
 from cellsys.loop import AntiparallelTurn, PolarityLaw
 from cellsys.model import LatentModel
@@ -124,7 +124,7 @@ def test_modal_run_equals_dense_run():
     for form in (Superposition(), MappedSuperposition(P_map=P_map), Feedback()):
         for g in (None, graph):
             cells = couple(m, 4, form, headings=angles, graph=g)
-            run = cells.simulate(t, DOP853(rtol=1e-9, atol=1e-9))
+            run = cells.simulate(t, Exponential(rtol=1e-9, atol=1e-9))
             z, p = through_system(cells, t)
             size = np.abs(z).max()
             # rtol per step 1e-9, some tens of steps, feedback through the heading
@@ -147,7 +147,7 @@ def test_one_cell_is_the_closed_loop():
 
     m = model(m=4, steered=True, seed=1)
     t = np.linspace(0, 300, 7)
-    run = couple(m, 1, headings=[0.7]).simulate(t, DOP853(rtol=1e-10, atol=1e-10))
+    run = couple(m, 1, headings=[0.7]).simulate(t, Exponential(rtol=1e-10, atol=1e-10))
     loop = closed_loop(m, p0=np.array([np.cos(0.7), np.sin(0.7), 0.0]))
     single = simulate(loop.system, TIGHT, t, auxiliaries=False)
     assert np.abs(run.block("z")[:, 0] - single.x[:, :4]).max() < 1e-8 * np.abs(single.x).max()
@@ -160,9 +160,9 @@ def test_order_of_the_extrapolated_splitting():
         model(m=4, steered=True, seed=1), 3, headings=[0.0, 1.0, 2.0], normalise=False
     )
     t = np.array([0.0, 80.0])
-    exact = cells.simulate(t, DOP853(rtol=1e-13, atol=1e-13)).x[-1]
+    exact = cells.simulate(t, Exponential(rtol=1e-13, atol=1e-13)).x[-1]
     error = [
-        np.abs(cells.simulate(t, RungeKutta4(step=h)).x[-1] - exact).max() for h in (5.0, 2.5)
+        np.abs(cells.simulate(t, Splitting(step=h)).x[-1] - exact).max() for h in (5.0, 2.5)
     ]
     assert 40 < error[0] / error[1] < 110  # order 6: 64
 
@@ -170,16 +170,16 @@ def test_order_of_the_extrapolated_splitting():
 def test_tolerance_is_met():
     cells = couple(model(m=4, steered=True, seed=1), 3, headings=[0.0, 1.0, 2.0])
     t = np.linspace(0, 200, 3)
-    exact = cells.simulate(t, DOP853(rtol=1e-11, atol=1e-11)).x
+    exact = cells.simulate(t, TIGHT).x
     for tol in (1e-4, 1e-6, 1e-8):
-        run = cells.simulate(t, DOP853(rtol=tol, atol=tol))
+        run = cells.simulate(t, Exponential(rtol=tol, atol=tol))
         # error per step, added up over the run's memory of a few steps
         assert np.abs(run.x - exact).max() < 30 * tol * np.abs(exact).max()
 
 
 def test_unstable_cells_are_reported_with_their_growth_rate():
     steered = model(m=6, steered=True, seed=0)
-    for m, integrator in ((model(m=6, seed=0), None), (steered, DOP853(rtol=1e-6, atol=1e-6))):
+    for m, integrator in ((model(m=6, seed=0), None), (steered, Exponential(rtol=1e-6, atol=1e-6))):
         cells = couple(m, 5, Feedback())
         rate = cells.stability().spectral_abscissa
         assert rate > 0.02
@@ -232,8 +232,8 @@ def test_antiparallel_choice_is_followed():
     p0 = -d / np.linalg.norm(d)
     still = couple(m, 2, controller=PolarityLaw(1 / 60))
     moved = couple(m, 2, controller=PolarityLaw(1 / 60, AntiparallelTurn(angle=0.01)))
-    a = still.simulate([0.0, 1e-3], DOP853(rtol=1e-8, atol=1e-8), p0=p0).p[-1, 0]
-    b = moved.simulate([0.0, 1e-3], DOP853(rtol=1e-2, atol=1e-2), p0=p0).p[-1, 0]
+    a = still.simulate([0.0, 1e-3], Exponential(rtol=1e-8, atol=1e-8), p0=p0).p[-1, 0]
+    b = moved.simulate([0.0, 1e-3], Exponential(rtol=1e-2, atol=1e-2), p0=p0).p[-1, 0]
     assert np.arccos(min(1.0, a @ p0)) < 1e-4
     assert np.arccos(b @ p0) > 5e-3
 
@@ -267,7 +267,7 @@ def test_memory_grows_linearly_with_the_cells():
     for K in (100, 400):
         cells = couple(m, K, headings=np.linspace(0, 6, K))
         tracemalloc.start()
-        cells.simulate(np.linspace(0, 100, 11), DOP853(rtol=1e-4, atol=1e-4))
+        cells.simulate(np.linspace(0, 100, 11), Exponential(rtol=1e-4, atol=1e-4))
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 6 * peaks[0]
@@ -282,9 +282,10 @@ def test_the_estimate_covers_the_error(graph):
     for seed in range(8):
         cells = couple(model(m=4, steered=True, seed=seed), headings=[0.0, 1.0, 2.0], **how)
         assert (cells.modes is None) == graph
-        exact = cells.simulate(t, DOP853(rtol=1e-11, atol=1e-11)).x
+        method = DOP853 if graph else Exponential
+        exact = cells.simulate(t, method(rtol=1e-11, atol=1e-11)).x
         for tol in (1e-4, 1e-6):
-            run = cells.simulate(t, DOP853(rtol=tol, atol=tol))
+            run = cells.simulate(t, method(rtol=tol, atol=tol))
             ratios.append(run.error.absolute.max() / np.abs(run.x - exact).max())
             assert "a tenth of the tolerance" in str(run)
     assert np.mean(np.array(ratios) >= 1) >= 0.9

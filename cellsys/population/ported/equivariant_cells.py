@@ -7,32 +7,30 @@ midpoint. What is certified (shapes, loads, field) does not depend on the comman
 
 from __future__ import annotations
 
-import time as clock
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from cellsys.cell.forecast import watched
+from cellsys.cell.model import EquivariantModel
 from cellsys.cell.on_field import CellsOnField
-from cellsys.contracts import FieldReader
+from cellsys.contracts import Integrator
 from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError, ParameterError
-from cellsys.integrate.estimate import EULER, estimate_by
-from cellsys.integrate.simulate import check_times
+from cellsys.integrate.record import check_times
+from cellsys.integrate.simulate import simulate
+from cellsys.integrate.step_runs import marks_of, refuse_integrator
 from cellsys.loop import PolarityLaw
 from cellsys.loop.loop_system import model_error
-from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.mechanics.geometry.surface import convex_triangles
-from cellsys.population.headings import turn
 from cellsys.population.poleset import PoleSet
+from cellsys.population.ported.equivariant_system import EquivariantSystem
 from cellsys.population.ported.linear_cells import PortedCells
+from cellsys.population.ported.placement import Placement
 from cellsys.population.ported.polar import frozen_port, polar_gather
 from cellsys.population.verdict import CoupledStability
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
-
-FINER = f"two steps of the field for one, heading in {SUBSTEPS} sub-steps"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +51,8 @@ class EquivariantCells(Drawable):
         Scale the sensed direction to unit length.
     """
 
-    model: Any
-    coupling: Any
+    model: EquivariantModel
+    coupling: Placement
     controller: PolarityLaw | None = None
     sensor: Any = None
     normalise: bool = True
@@ -70,6 +68,11 @@ class EquivariantCells(Drawable):
     def order(self) -> int:
         """Real latent states of one cell, its centroid among them."""
         return self.model.order
+
+    @property
+    def dt(self) -> float:
+        """Step of cells and field, s."""
+        return self.model.dt
 
     @property
     def route(self) -> str:
@@ -88,9 +91,7 @@ class EquivariantCells(Drawable):
         return kept[key]
 
     @property
-    def _linear_coupling(self) -> Any:
-        from dataclasses import replace
-
+    def _linear_coupling(self) -> Placement:
         field = self.coupling.field
         return replace(self.coupling, port=polar_gather(self.model, field))
 
@@ -112,8 +113,6 @@ class EquivariantCells(Drawable):
         It holds for the schedule of the clock and for the nonlinear field as well, whose implicit
         step never gains more energy than the work done on it.
         """
-        from dataclasses import replace
-
         report = self.frozen().stability()
         norm, index = self.model.dynamics.norm(), self.model.dynamics.passivity_index()
         text = f"greatest norm of a vertex {norm:.9g}, port index {index:.2g} over all vertices"
@@ -130,7 +129,7 @@ class EquivariantCells(Drawable):
     def simulate(
         self,
         t: np.ndarray,
-        integrator: Any = None,
+        integrator: Integrator | None = None,
         *,
         z0: np.ndarray | None = None,
         p0: np.ndarray | None = None,
@@ -144,8 +143,8 @@ class EquivariantCells(Drawable):
         ----------
         t : (T,)
             s since contact, on the model's grid.
-        integrator : optional
-            Not used: the step is the model's, one implicit step of the field each.
+        integrator : None
+            The step is the model's, one implicit step of the field each; another is refused.
         z0 : (K, m), optional
             Default the model's start at the positions.
         p0 : (K, 3), optional
@@ -163,116 +162,37 @@ class EquivariantCells(Drawable):
             States ``z`` (K, m), ``field.modes`` (order,) and ``p`` (K, 3). Its events say when a
             cell leaves the trained range.
         """
-        times = check_times(t)
-        dt, K = self.model.dt, self.n_cells
-        count = (times - times[0]) / dt
-        if np.abs(count - np.round(count)).max() > 1e-6:
-            raise ParameterError(f"t must lie on the model's grid of {dt:g} s")
-        marks = np.round(count).astype(int)
-        steps = int(marks[-1])
-        amplitude = self._command(amplitude, "amplitude", steps, 1.0)
+        instead = "cells.frozen(t) has linear cells frozen at a time"
+        refuse_integrator(self, integrator, instead)
+        times, K = check_times(t), self.n_cells
+        steps = int(marks_of(times, self.dt, "the model")[-1])
+        u = self._command(amplitude, "amplitude", steps, 1.0)
         if heading is not None:
-            heading = self._command(heading, "heading", steps, 0.0)
-        law = self.controller if heading is None else None
+            u = np.hstack([u, self._command(heading, "heading", steps, 0.0)])
         theta = self.coupling.headings
         if p0 is None:
             p0 = np.column_stack([np.cos(theta), np.sin(theta), np.zeros(K)])
         p = np.array(np.broadcast_to(np.asarray(p0, float), (K, 3)))
         if not np.all(np.isfinite(p)) or np.any(np.hypot(p[:, 0], p[:, 1]) == 0):
             raise ParameterError("p0 must be finite and have a heading for every cell")
-        whole = CellsOnField(self.model, self.coupling.field, tolerance=tolerance)
-        state = whole.start(self.coupling.positions[:, :2], z0)
-        begin = (whole, state, p, amplitude, heading, law, times[0], set(marks.tolist()))
-        began = clock.perf_counter()
-        rows, every, angles, most = self._run(*begin)
-        z, q, p_all, d_all = (
-            None if rows[0][i] is None else np.array([r[i] for r in rows]) for i in range(4)
+        system = EquivariantSystem(
+            whole=CellsOnField(self.model, self.coupling.field, tolerance=tolerance),
+            places=self.coupling.positions[:, :2],
+            controller=self.controller if heading is None else None,
+            sensor=self.sensor,
+            normalise=self.normalise,
+            start=z0,
+            p0=p,
+            commanded=heading is not None,
         )
-        T = len(times)
-        events = []
-        if getattr(self.model, "monitor", None) is not None:
-            when, path = times[0] + dt * np.arange(steps + 1), np.array(every)
-            for c in range(K):
-                who = f"cell{c + 1}"
-                events += watched(
-                    self.model, when, path[:, c], amplitude[:, c], angles[:, c], who
-                )
-        blocks = [
-            Block("z", (K, self.order)),
-            Block("field.modes", (q.shape[1],), "um", "field"),
-            Block("p", (K, 3), "1", "controller", "internal"),
-        ]
-        x = np.column_stack([z.reshape(T, -1), q, p_all.reshape(T, -1)])
-
-        def better() -> np.ndarray:
-            rows = self._run(*begin, finer=True)[0]
-            return np.array([np.concatenate([z.ravel(), q, p.ravel()]) for z, q, p, _ in rows])
-
-        return Trajectory(
+        return simulate(
+            system,
+            None,
             times,
-            x,
-            Layout(blocks),
-            p=p_all,
-            d=d_all,
-            events=tuple(sorted(events)),
-            model_error=model_error(self.model),
-            statistics={"steps": steps, "exchanges": most,
-                        "wall_time": clock.perf_counter() - began,
-                        "estimate_factor": 2.0 if law is None else 4.0},
+            u=u,
             label=f"{K} equivariant cells on one field",
-            estimator=estimate_by(x, better, FINER, share=EULER),
-        )  # fmt: skip
-
-    def _run(
-        self,
-        whole: CellsOnField,
-        state: Any,
-        p: np.ndarray,
-        amplitude: np.ndarray,
-        heading: np.ndarray | None,
-        law: PolarityLaw | None,
-        t0: float,
-        wanted: set[int],
-        finer: bool = False,
-    ) -> tuple[list, list, np.ndarray, int]:
-        """Wanted samples (z, q, p, d), z of every step, headings (steps, K), most exchanges.
-
-        `finer`: two steps of the field for one, and the heading followed inside each step.
-        """
-        dt, join = self.model.dt, self.model.dynamics.join
-        loop, memory = _Loop(law, self.normalise), self.coupling.field.memory()
-        rows, every, angles, most = [], [join(state.cells)], np.empty(amplitude.shape), 0
-        steered, parts, last = law is not None and self.sensor is not None, 1 + finer, None
-
-        def move(p: np.ndarray, d: np.ndarray, h: float) -> np.ndarray:
-            return turn(loop, p, d, h)
-
-        d = self._sensed(state, p)
-        for k in range(len(amplitude)):
-            if k in wanted:
-                rows.append((join(state.cells), state.q, p, d))
-            half = move(p, d, 0.5 * dt) if steered else p
-            angle = np.arctan2(half[:, 1], half[:, 0]) if heading is None else heading[k]
-            angles[k] = angle
-            t, begin = t0 + k * dt, state
-            state, used = whole.step(begin, amplitude[k], angle, t, memory, parts)
-            most = max(most, used)
-            if not steered and heading is not None:
-                p = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(self.n_cells)])
-            end = self._sensed(state, half if steered else p)
-            if steered and finer:
-                inside, ahead = headings_inside(move, p, (last, d, end), dt)
-                state, _ = whole.step(begin, amplitude[k], inside, t, memory, parts)
-                last, p = d, ahead
-            elif steered:
-                p = move(half, end, 0.5 * dt)
-            # A sensor of the cell's own state does not look at p.
-            again = steered and (finer or isinstance(self.sensor, FieldReader))
-            d = self._sensed(state, p) if again else end
-            every.append(join(state.cells))
-        if len(amplitude) in wanted:
-            rows.append((join(state.cells), state.q, p, d))
-        return rows, every, angles, most
+            model_error=model_error(self.model),
+        )
 
     def _command(self, value: Any, name: str, steps: int, default: float) -> np.ndarray:
         value = default if value is None else value
@@ -282,14 +202,6 @@ class EquivariantCells(Drawable):
         if not np.all(np.isfinite(array)):
             raise ParameterError(f"{name} holds NaN or inf")
         return np.array(np.broadcast_to(array, (steps, self.n_cells)))
-
-    def _sensed(self, state: Any, p: np.ndarray) -> np.ndarray | None:
-        if self.sensor is None:
-            return None
-        if isinstance(self.sensor, FieldReader):
-            return self.sensor.directions(self.coupling.field, state.q, state.cells.place, p)
-        z = self.model.dynamics.join(state.cells)
-        return self.sensor.direction(z) if self.normalise else self.sensor.raw(z)
 
     def matrix_displacement(self, run: Trajectory) -> np.ndarray:
         """Displacements (T, n, 3) um of the matrix in a run."""
@@ -330,9 +242,3 @@ class EquivariantCells(Drawable):
             f"{self.n_cells} equivariant cells on a field of order {self.coupling.field.order}, "
             f"m = {self.order}\n  {self.frozen().certificate}"
         )
-
-
-@dataclass(frozen=True)
-class _Loop:
-    controller: Any
-    normalise: bool

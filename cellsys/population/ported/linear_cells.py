@@ -25,6 +25,7 @@ from cellsys.population.ported.ports import CellPort, PortPassivity
 from cellsys.population.verdict import CoupledStability, judge
 from cellsys.shown import Shown
 from cellsys.state_space import state_space
+from cellsys.trajectory import Trajectory
 
 DENSE_LIMIT = 4000
 
@@ -267,12 +268,13 @@ class PortedCells(Drawable):
         z0: np.ndarray | None = None,
         p0: np.ndarray | None = None,
         q0: np.ndarray | None = None,
-    ) -> Any:
+    ) -> Trajectory:
         """Run cells and field; states ``z`` (K, m), ``q`` and, with a controller, ``p`` (K, 3).
 
-        Continuous cells: exact linear flow, extrapolated splitting with the polarities as in
-        `CoupledCells.simulate`. Cells with a step: one exchange at the midpoint per step, on
-        the grid of dt, commands held over each.
+        Continuous cells: as in `CoupledCells.simulate`, exact flows composed by `Exponential`
+        (and without integrator, where nothing turns), any other on the whole system. Cells with a
+        step: one exchange at the midpoint per step, on the grid of dt, commands held over each;
+        an integrator is refused.
         """
         from cellsys.population.ported.ported_run import run_ported
 

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-import time as clock
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.contracts import Integrator
 from cellsys.errors import DimensionError, IntegrationError, ParameterError
-from cellsys.integrate.estimate import estimate_by
-from cellsys.integrate.simulate import check_times
+from cellsys.integrate.capabilities import ComposesFlows
+from cellsys.integrate.simulate import simulate
+from cellsys.integrate.splitting import Splitting
+from cellsys.integrate.step_runs import StepRun, refuse_integrator
+from cellsys.loop import ClosedLoop
 from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.model import LatentModel
-from cellsys.population.headings import commands, loop_of, sensed, turn
-from cellsys.population.splitting import SplitRun, split_estimate
-from cellsys.system import Block, Layout
+from cellsys.population.flows import CellFlows, polarities, symbolic_cells
+from cellsys.population.headings import commands, loop_of, rates, sensed, turn
+from cellsys.system import Block, Layout, OdeSystem, SymbolicForm
 from cellsys.trajectory import Trajectory
 
 
@@ -56,7 +60,7 @@ class PortFlow:
         return self.states(x) @ self.cells.model.sensor.S_d.T
 
 
-def ported_loop(cells: Any) -> Any:
+def ported_loop(cells: Any) -> ClosedLoop | None:
     """The polarity loop of every cell, or None without headings or sensor."""
     cell = cells.model
     if cell.dt is None:
@@ -68,13 +72,38 @@ def ported_loop(cells: Any) -> Any:
 
 
 def run_ported(
-    cells: Any, t: Any, integrator: Any, z0: Any, p0: Any, q0: Any
+    cells: Any,
+    t: np.ndarray,
+    integrator: Integrator | None,
+    z0: np.ndarray | None,
+    p0: np.ndarray | None,
+    q0: np.ndarray | None,
 ) -> Trajectory:
     """See `PortedCells.simulate`."""
-    times = check_times(t)
-    cell, K, m = cells.model, cells.n_cells, cells.order
-    n = int(cells.coupling.field.order)
-    loop = ported_loop(cells)
+    cell, loop = cells.model, ported_loop(cells)
+    start = initial(cells, loop, z0, p0, q0)
+    if cell.dt is not None:
+        system: Any = PortedSteps(cells, PortFlow(cells), loop, start)
+        refuse_integrator(system, integrator, "cells without dt take any")
+        method: Any = None
+    else:
+        system = ported_system(cells, loop, start)
+        method = Splitting() if integrator is None else integrator
+        method = method.of_cells() if isinstance(method, ComposesFlows) else method
+    return simulate(
+        system, method, t, auxiliaries=False, label=f"{cells.n_cells} cells on one field"
+    )
+
+
+def initial(
+    cells: Any,
+    loop: ClosedLoop | None,
+    z0: np.ndarray | None,
+    p0: np.ndarray | None,
+    q0: np.ndarray | None,
+) -> np.ndarray:
+    """z, q and, with a loop, p at the start, as one array."""
+    cell, K, m, n = cells.model, cells.n_cells, cells.order, int(cells.coupling.field.order)
     z0 = cell.z_start if z0 is None and cell.z_start is not None else z0
     z = np.array(np.broadcast_to(0.0 if z0 is None else np.asarray(z0, float), (K, m)))
     q = np.zeros(n) if q0 is None else np.array(q0, dtype=float)
@@ -86,116 +115,175 @@ def run_ported(
         raise DimensionError(f"q0 must be ({n},), got {q.shape}")
     if not all(np.all(np.isfinite(v)) for v in (z, q, p)):
         raise ParameterError("z0, q0 or p0 holds NaN or inf")
-    flow, start = PortFlow(cells), np.concatenate([z.ravel(), q])
-
-    def march(
-        integrator: Any, times: np.ndarray, finer: bool = False
-    ) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
-        """States (T, K m + n), polarities (T, K, 3) and statistics."""
-        if cell.dt is None:
-            moving = SplitRun(cells, flow, loop, start, p, integrator)
-        else:
-            moving = _Steps(cells, flow, loop, start, p, finer)
-        rows = [(moving.x, moving.p)]
-        for k in range(1, len(times)):
-            moving.advance(float(times[k - 1]), float(times[k]))
-            rows.append((moving.x, moving.p))
-        return *(np.array(v) for v in zip(*rows, strict=True)), moving.statistics
-
-    def whole(states: np.ndarray, headings: np.ndarray, _: Any) -> np.ndarray:
-        return states if loop is None else np.column_stack([states, headings.reshape(T, -1)])
-
-    began, T = clock.perf_counter(), len(times)
-    states, headings, statistics = march(integrator, times)
-    statistics["wall_time"] = clock.perf_counter() - began
-    blocks = [Block("z", (K, m)), Block("q", (n,), "um", "field")]
-    directions = None
-    if loop is not None:
-        blocks.append(Block("p", (K, 3), "1", "controller", "internal"))
-        directions = np.array([sensed(loop, flow.sense(x)) for x in states])
-    x = whole(states, headings, None)
-    if cell.dt is None:
-        estimator = split_estimate(
-            loop, integrator, times, x, lambda second, times: whole(*march(second, times))
-        )
-    else:
-        method = "the cells' own steps" if loop is None else f"heading in {SUBSTEPS} sub-steps"
-        estimator = estimate_by(x, lambda: whole(*march(None, times, finer=True)), method)
-    return Trajectory(
-        times,
-        x,
-        Layout(blocks),
-        p=None if loop is None else headings,
-        d=directions,
-        statistics=statistics,
-        label=f"{K} cells on one field",
-        estimator=estimator,
-    )
+    return np.concatenate([z.ravel(), q, *([] if loop is None else [p.ravel()])])
 
 
-class _Steps:
+def layout(cells: Any, loop: ClosedLoop | None) -> Layout:
+    """z (K, m), q and, with a loop, p (K, 3)."""
+    K, n = cells.n_cells, int(cells.coupling.field.order)
+    blocks = [Block("z", (K, cells.order)), Block("q", (n,), "um", "field")]
+    return Layout(blocks if loop is None else [*blocks, polarities(K)])
+
+
+class PortedSystem(OdeSystem):
+    """Continuous cells on their field: x' = M x + G (b + B c(p)), and polarities behind it."""
+
+    flow: PortFlow
+    loop: ClosedLoop | None
+
+    def splitting(self) -> CellFlows:
+        """The exact linear flow, and the polarities that turn."""
+        return CellFlows(self.flow.cells, self.flow, self.loop, (len(self.flow.M),))
+
+    def observe(self, t: float, x: np.ndarray) -> dict[str, np.ndarray]:
+        if self.loop is None:
+            return {}
+        n = len(self.flow.M)
+        d = sensed(self.loop, self.flow.sense(x[:n]))
+        return {"p": x[n:].reshape(-1, 3).copy(), "d": d}
+
+    def casadi(self) -> SymbolicForm:
+        """CasADi form of cells and field."""
+        kept = self.__dict__.get("_symbolic_form")
+        if kept is None:
+            cells, M, drive = self.flow.cells, self.flow.M, self.flow.drive
+            K, size = cells.n_cells, cells.n_cells * cells.order
+            read = np.eye(size, len(M)), np.zeros(size)
+            kept = symbolic_cells(self.loop, K, (M, drive[:, :-1], drive[:, -1]), read)
+            self.__dict__["_symbolic_form"] = kept
+        return kept
+
+
+def ported_system(cells: Any, loop: ClosedLoop | None, start: np.ndarray) -> PortedSystem:
+    """Continuous cells and field as an `OdeSystem`."""
+    flow = PortFlow(cells)
+    n, still = len(flow.M), np.zeros((cells.n_cells, flow.n_inputs))
+
+    def forcing(t: float, x: np.ndarray) -> np.ndarray:
+        p = x[n:].reshape(-1, 3)
+        c = still if loop is None else commands(loop, p)
+        moved = flow.M @ x[:n] + flow.drive @ np.append(c.ravel(), 1.0)
+        if loop is None:
+            return moved
+        d = sensed(loop, flow.sense(x[:n]))
+        return np.concatenate([moved, rates(loop, p, d).ravel()])
+
+    system = PortedSystem(states=layout(cells, loop), x0=start, forcing=forcing)
+    object.__setattr__(system, "flow", flow)
+    object.__setattr__(system, "loop", loop)
+    return system
+
+
+@dataclass(frozen=True, eq=False)
+class PortedSteps:
     """Cells with a step of their own: midpoint exchange, commands held over each step.
 
-    `finer`: the heading is followed inside each step and commands act by their means.
+    `inside`: the heading is followed inside each step and commands act by their means.
     """
 
-    def __init__(
-        self,
-        cells: Any,
-        flow: PortFlow,
-        loop: Any,
-        x: np.ndarray,
-        p: np.ndarray,
-        finer: bool = False,
-    ) -> None:
-        self.finer, self.last = finer, None
-        self.cells, self.flow, self.loop, self.x, self.p = cells, flow, loop, x, p
-        self.dt = cells.model.dt
-        self.limit = 1e100 * max(1.0, float(np.linalg.norm(x)))
-        self.statistics: dict[str, Any] = {"steps": 0}
+    cells: Any
+    flow: PortFlow
+    loop: ClosedLoop | None
+    x0: np.ndarray
+    inside: bool = False
 
-    def advance(self, t0: float, t1: float) -> None:
-        """Move from t0 to t1, a whole number of steps."""
-        count = (t1 - t0) / self.dt
-        if abs(count - round(count)) > 1e-6 or round(count) < 1:
-            raise ParameterError(
-                f"t must lie on the cells' grid of {self.dt:g} s, got an interval of {t1 - t0:g} s"
-            )
-        still = np.zeros((self.cells.n_cells, self.flow.n_inputs))
-        for i in range(round(count)):
-            with np.errstate(over="ignore", invalid="ignore"):
-                if self.loop is None:
-                    self.x = self._moved(still)
-                else:
-                    self._controlled()
-            self.statistics["steps"] += 1
-            if not np.linalg.norm(self.x) <= self.limit:
-                raise IntegrationError(
-                    "the coupled cells are unstable and grow at "
-                    f"{self.cells.pole_set().abscissa:.6g} 1/s",
-                    time=t0 + (i + 1) * self.dt,
-                    state_norm=float(np.linalg.norm(self.x)),
-                    step=self.dt,
-                )
+    @property
+    def dt(self) -> float:
+        """Step of the cells, s."""
+        return self.cells.model.dt
 
-    def _moved(self, c: np.ndarray) -> np.ndarray:
-        return self.flow.M @ self.x + self.flow.drive @ np.append(c.ravel(), 1.0)
+    @property
+    def states(self) -> Layout:
+        """z, q and p."""
+        return layout(self.cells, self.loop)
 
-    def _controlled(self) -> None:
-        """x and p a step later."""
-        d, ahead = self._sensed(self.x), self._moved(commands(self.loop, self.p))
-        if not self.finer:
-            self.x, self.p = ahead, turn(self.loop, self.p, d, self.dt)
-            return
-        for _ in range(2):
-            three = (self.last, d, self._sensed(ahead))
-            angles, p = headings_inside(self._turn, self.p, three, self.dt)
-            each = [commands(self.loop, np.stack([np.cos(a), np.sin(a)], axis=1)) for a in angles]
-            ahead = self._moved(np.mean(each, axis=0))
-        self.x, self.p, self.last = ahead, p, d
+    @property
+    def better_by(self) -> tuple[str, float]:
+        """How `better` is better."""
+        own = "the cells' own steps" if self.loop is None else f"heading in {SUBSTEPS} sub-steps"
+        return own, 1.0
 
-    def _sensed(self, x: np.ndarray) -> np.ndarray:
-        return sensed(self.loop, self.flow.sense(x))
+    def better(self) -> PortedSteps:
+        """The heading followed inside each step."""
+        return replace(self, inside=True)
 
-    def _turn(self, p: np.ndarray, d: np.ndarray, h: float) -> np.ndarray:
+    def begin(self) -> PortedRun:
+        """A run."""
+        return PortedRun(self)
+
+    def step(self, x: np.ndarray, u: np.ndarray | None, t: float) -> np.ndarray:
+        """x a step later."""
+        n = len(self.flow.M)
+        if self.loop is None:
+            return self.moved(x, np.zeros((self.cells.n_cells, self.flow.n_inputs)))
+        y, p = x[:n], x[n:].reshape(-1, 3)
+        ahead = self.moved(y, commands(self.loop, p))
+        return np.concatenate([ahead, self.turned(p, self.sensed(y), self.dt).ravel()])
+
+    def moved(self, y: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """Cells and field a step later under the commands c (K, n_c)."""
+        return self.flow.M @ y + self.flow.drive @ np.append(c.ravel(), 1.0)
+
+    def sensed(self, y: np.ndarray) -> np.ndarray:
+        """d (K, 3) of cells and field."""
+        return sensed(self.loop, self.flow.sense(y))
+
+    def turned(self, p: np.ndarray, d: np.ndarray, h: float) -> np.ndarray:
+        """p after h with d held."""
         return turn(self.loop, p, d, h)
+
+
+class PortedRun(StepRun):
+    """A run of `PortedSteps`: what was sensed a step before, and the bound of the run."""
+
+    system: PortedSteps
+
+    def __init__(self, system: PortedSteps) -> None:
+        super().__init__(system)
+        self.last: np.ndarray | None = None
+        self.limit: float | None = None
+
+    def step(self, x: np.ndarray, u: np.ndarray | None, t: float) -> np.ndarray:
+        """x a step later.
+
+        Raises
+        ------
+        IntegrationError
+            With the growth rate, beyond 1e100 times the start.
+        """
+        system, n = self.system, len(self.system.flow.M)
+        if self.limit is None:
+            self.limit = 1e100 * max(1.0, float(np.linalg.norm(x[:n])))
+        with np.errstate(over="ignore", invalid="ignore"):
+            inside = system.inside and system.loop is not None
+            after = self._inside(x) if inside else system.step(x, u, t)
+            size = np.linalg.norm(after[:n])
+        if not size <= self.limit:
+            raise IntegrationError(
+                "the coupled cells are unstable and grow at "
+                f"{system.cells.pole_set().abscissa:.6g} 1/s",
+                time=t + system.dt,
+                state_norm=float(size),
+                step=system.dt,
+            )
+        return after
+
+    def _inside(self, x: np.ndarray) -> np.ndarray:
+        system, n = self.system, len(self.system.flow.M)
+        y, p = x[:n], x[n:].reshape(-1, 3)
+        d, ahead, end = system.sensed(y), system.moved(y, commands(system.loop, p)), p
+        for _ in range(2):
+            three = (self.last, d, system.sensed(ahead))
+            angles, end = headings_inside(system.turned, p, three, system.dt)
+            each = [commands(system.loop, np.stack([np.cos(a), np.sin(a)], axis=1)) for a in angles]
+            ahead = system.moved(y, np.mean(each, axis=0))
+        self.last = d
+        return np.concatenate([ahead, end.ravel()])
+
+    def observed(self, marks: np.ndarray, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """p and d (T, K, 3)."""
+        if self.system.loop is None:
+            return {}
+        n = len(self.system.flow.M)
+        d = np.array([self.system.sensed(row[:n]) for row in rows])
+        return {"p": rows[:, n:].reshape(len(rows), -1, 3).copy(), "d": d}

@@ -32,6 +32,7 @@ from cellsys.population.printed.maps import field_rows
 from cellsys.population.printed.modes import Modes, modes_of
 from cellsys.population.printed.split import FieldSplit, field_split
 from cellsys.response.certainty import PoleCertainty
+from cellsys.trajectory import Trajectory
 
 DENSE_LIMIT = 4000
 POLE_LIMIT = 1_000_000
@@ -347,21 +348,17 @@ class CoupledCells(Drawable):
         z0: np.ndarray | None = None,
         p0: np.ndarray | None = None,
         progress: Callable[[float], None] | None = None,
-    ) -> Any:
+    ) -> Trajectory:
         """Run all cells, each with its own polarity controller and sensor.
-
-        On the modal and graph routes the linear part is exact: without a controller the run is
-        the closed form; with one, symmetric splitting of exact flows (z with p held, p with z
-        held) extrapolated to order 6, its step controlled by the difference to order 4.
 
         Parameters
         ----------
         t : (T,)
             Sample times, s.
-        integrator : CVODES, DOP853, Radau, LSODA or RungeKutta4
-            Its rtol and atol bound the error of each step; a fixed step is taken as it is. Not
-            needed without a controller. On the dense and matrix-free routes it integrates
-            `system` itself (DOP853, Radau, LSODA).
+        integrator : Exponential or any other
+            `Exponential` composes exact flows on the modal and graph routes (`Splitting`), to
+            order 6 with rtol and atol; any other integrates the whole system itself, on every
+            route. Not needed without a controller there: the run then is the closed form.
         z0 : (m,) or (K, m), optional
             *Isolated* latent start; default the model's.
         p0 : (K, 3), optional
@@ -375,7 +372,9 @@ class CoupledCells(Drawable):
         Raises
         ------
         IntegrationError
-            With the growth rate, when the run grows beyond 1e100 times its start.
+            With the growth rate, when exact flows grow beyond 1e100 times their start.
+        ParameterError
+            For an integrator that these cells cannot take, with those that serve.
         """
         from cellsys.population.printed.simulation import run
 

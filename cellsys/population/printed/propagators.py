@@ -69,3 +69,45 @@ class Propagators:
         """x after h with the commands c (K, n_c) held; x in modal coordinates."""
         drive = np.column_stack([c, np.ones(len(c))])
         return self.act(self.step_matrices(h), np.column_stack([x, self.to_modes(drive)]))
+
+
+class EmergentFlow(Propagators):
+    """Propagators with the read-outs of emergent states and of the sensor."""
+
+    def __init__(self, cells: Any) -> None:
+        super().__init__(cells)
+        self.offset = rest_offset(cells)
+        if cells.loop is not None:
+            S = cells.loop.sensor.S_d
+            self.reader = S @ self.T
+            self.shift = self.offset @ S.T
+
+    def start(self, z: np.ndarray) -> np.ndarray:
+        """Modal x of isolated latent states (K, m)."""
+        return self.act(self.D, self.to_modes(z))
+
+    def emergent(self, x: np.ndarray) -> np.ndarray:
+        """z (K, m)."""
+        return self.to_cells(self.act(self.T, x)) + self.offset
+
+    def sense(self, x: np.ndarray) -> np.ndarray:
+        """S_d z (K, 3)."""
+        return self.to_cells(self.act(self.reader, x)) + self.shift
+
+
+def rest_offset(cells: Any) -> np.ndarray:
+    """(K, m): what neighbours add to z besides P z_l when z = 0 is not rest.
+
+    With a centred basis each neighbour adds its mean field, V_phi^T S^-1 mean(phi); zero for
+    `Feedback`, which couples rates [notes: theory, superposition].
+    """
+    model, K = cells.model, cells.n_cells
+    if not cells.coupling.inverted() or K == 1:
+        return np.zeros((K, cells.order))
+    rows = cells.field
+    scale = model.scale[rows]
+    mean = np.divide(model.mean[rows], scale, out=np.zeros(len(rows)), where=scale > 0)
+    step = model.V[rows].T @ mean
+    if cells.graph is None:
+        return np.tile((K - 1) * step, (K, 1))
+    return np.outer(cells.graph.receive(np.ones(K)), step)

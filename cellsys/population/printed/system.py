@@ -12,41 +12,29 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from cellsys.errors import MemoryBudgetError, ParameterError
+from cellsys.errors import MemoryBudgetError, NotSymbolicError, ParameterError
+from cellsys.population.flows import CellFlows, polarities, symbolic_cells
 from cellsys.population.headings import commands, rates, sensed
-from cellsys.population.printed.propagators import Propagators
+from cellsys.population.printed.propagators import EmergentFlow, rest_offset
 from cellsys.store.memory import check_memory
-from cellsys.system import Block, Layout, OdeSystem
+from cellsys.system import Block, Layout, OdeSystem, SymbolicForm
 
-
-def rest_offset(cells: Any) -> np.ndarray:
-    """(K, m): what neighbours add to z besides P z_l when z = 0 is not rest.
-
-    With a centred basis each neighbour adds its mean field, V_phi^T S^-1 mean(phi); zero for
-    `Feedback`, which couples rates [notes: theory, superposition].
-    """
-    model, K = cells.model, cells.n_cells
-    if not cells.coupling.inverted() or K == 1:
-        return np.zeros((K, cells.order))
-    rows = cells.field
-    scale = model.scale[rows]
-    mean = np.divide(model.mean[rows], scale, out=np.zeros(len(rows)), where=scale > 0)
-    step = model.V[rows].T @ mean
-    if cells.graph is None:
-        return np.tile((K - 1) * step, (K, 1))
-    return np.outer(cells.graph.receive(np.ones(K)), step)
+SYMBOLIC_LIMIT = 1000  # K m
 
 
 class Whole:
-    """x' = rate(x, c), z = read(x), x(0) = start(z_isolated), all (K, .), on every route."""
+    """x' = rate(x, c), z = read(x), x(0) = start(z_isolated), all (K, .), on every route.
 
-    def __init__(self, cells: Any) -> None:
-        self.cells = cells
+    `modal`: x is kept in the coordinates of the graph's modes, where the route has them.
+    """
+
+    def __init__(self, cells: Any, *, modal: bool = False) -> None:
+        self.cells, self.modal = cells, modal
         self.A, self.B, self.b = cells.matrices
         self.offset = rest_offset(cells)
         self.free = cells.route.startswith("matrix-free")
         if cells.modes is not None:
-            self.parts = Propagators(cells)
+            self.parts = EmergentFlow(cells)
         elif self.free:
             self._prepare_free()
         else:
@@ -72,11 +60,15 @@ class Whole:
 
     def rate(self, x: np.ndarray, c: np.ndarray) -> np.ndarray:
         """dx/dt (K, m)."""
+        return self.driven(x, np.column_stack([c, np.ones(len(c))]))
+
+    def driven(self, x: np.ndarray, full: np.ndarray) -> np.ndarray:
+        """dx/dt (K, m), linear in x and in the commands with a last column of ones (K, n_c + 1)."""
         if self.cells.modes is not None:
             q = self.parts
-            full = np.column_stack([c, np.ones(len(c))])
-            return q.to_cells(q.act(q.M, q.to_modes(x)) + q.act(q.drive, q.to_modes(full)))
-        force = c @ self.B.T + self.b
+            rate = q.act(q.M, self._into(x)) + q.act(q.drive, q.to_modes(full))
+            return rate if self.modal else q.to_cells(rate)
+        force = full[:, :-1] @ self.B.T + full[:, -1:] * self.b
         if not self.free:
             flat = self.block.M @ x.ravel() + self.block.G @ force.ravel()
             return flat.reshape(x.shape)
@@ -89,44 +81,117 @@ class Whole:
         more = (self.w @ f) @ (self.extra @ self.P).T
         return f + self.lu.solve(more.ravel()).reshape(f.shape)
 
+    def _into(self, x: np.ndarray) -> np.ndarray:
+        return x if self.modal else self.parts.to_modes(x)
+
     def read(self, x: np.ndarray) -> np.ndarray:
         """Emergent z (K, m)."""
+        if self.free and not self.cells.coupling.inverted():
+            return x
+        return self.mixed(x) + self.offset
+
+    def mixed(self, x: np.ndarray) -> np.ndarray:
+        """T x (K, m): z without its offset."""
         if self.cells.modes is not None:
-            q = self.parts
-            return q.to_cells(q.act(q.T, q.to_modes(x))) + self.offset
+            return self.parts.to_cells(self.parts.act(self.parts.T, self._into(x)))
         if not self.free:
-            return (self.block.T @ x.ravel()).reshape(x.shape) + self.offset
+            return (self.block.T @ x.ravel()).reshape(x.shape)
         if not self.cells.coupling.inverted():
             return x
-        return x + (self.w @ x) @ self.P.T + self.offset
+        return x + (self.w @ x) @ self.P.T
+
+    def sense(self, x: np.ndarray) -> np.ndarray:
+        """S_d z (K, 3) of each cell."""
+        if self.modal and self.cells.modes is not None:
+            return self.parts.sense(x)
+        return self.read(x) @ self.cells.loop.sensor.S_d.T
 
     def start(self, z: np.ndarray) -> np.ndarray:
         """x of isolated latent states z (K, m)."""
         if self.cells.modes is not None:
-            q = self.parts
-            return q.to_cells(q.act(q.D, q.to_modes(z)))
+            x = self.parts.start(z)
+            return x if self.modal else self.parts.to_cells(x)
         return z if self.free else (self.block.D @ z.ravel()).reshape(z.shape)
+
+    def matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Dense M, D (n, K n_c), b of x' = M x + D c + b and T of z = T x + offset, n = K m."""
+        K, m, n_c = self.cells.n_cells, self.cells.order, self.B.shape[1]
+        n, still, rest = K * m, np.zeros((K, n_c + 1)), np.zeros((K, m))
+        units = np.eye(n).reshape(n, K, m)
+        M = np.column_stack([self.driven(e, still).ravel() for e in units])
+        T = np.column_stack([self.mixed(e).ravel() for e in units])
+        D = np.empty((n, K * n_c))
+        for i in range(K * n_c):
+            one = still.copy()
+            one[i // n_c, i % n_c] = 1.0
+            D[:, i] = self.driven(rest, one).ravel()
+        still[:, -1] = 1.0
+        return M, D, self.driven(rest, still).ravel(), T
 
 
 class CoupledSystem(OdeSystem):
     """States x (K, m) and p (K, 3); `observe` gives p and d of every cell."""
 
-    whole: Any
+    whole: Whole
 
     def observe(self, t: float, x: np.ndarray) -> dict[str, np.ndarray]:
         cells = self.whole.cells
         if cells.loop is None:
             return {}
-        z, p = self._parts(x)
-        return {"p": p.copy(), "d": self._sensed(z)}
+        K, m = cells.n_cells, cells.order
+        raw = self.whole.sense(x[: K * m].reshape(K, m))
+        return {"p": x[K * m :].reshape(K, -1).copy(), "d": sensed(cells.loop, raw)}
 
-    def _parts(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def casadi(self) -> SymbolicForm:
+        """CasADi form of all cells.
+
+        Raises
+        ------
+        NotSymbolicError
+            Above K m = 1000, where its dense matrices are no longer worth it.
+        """
+        kept = self.__dict__.get("_symbolic_form")
+        if kept is None:
+            cells = self.whole.cells
+            K, n = cells.n_cells, cells.n_cells * cells.order
+            if n > SYMBOLIC_LIMIT:
+                raise NotSymbolicError(
+                    f"the symbolic form of coupled cells has dense matrices, up to K m = "
+                    f"{SYMBOLIC_LIMIT}, and these have K m = {n}; use Exponential, DOP853 or LSODA"
+                )
+            M, D, b, T = self.whole.matrices()
+            kept = symbolic_cells(cells.loop, K, (M, D, b), (T, self.whole.offset.ravel()))
+            self.__dict__["_symbolic_form"] = kept
+        return kept
+
+
+class EmergentSystem(CoupledSystem):
+    """The same in the coordinates of the modes; its samples show emergent z (K, m) and p."""
+
+    @property
+    def shown(self) -> Layout:
+        """z (K, m) and p (K, 3)."""
+        cells = self.whole.cells
+        blocks = [Block("z", (cells.n_cells, cells.order))]
+        return Layout(blocks if cells.loop is None else [*blocks, polarities(cells.n_cells)])
+
+    def show(self, x: np.ndarray) -> np.ndarray:
+        """Emergent z and p (T, .) of states (T, n)."""
         K, m = self.whole.cells.n_cells, self.whole.cells.order
-        return self.whole.read(x[: K * m].reshape(K, m)), x[K * m :].reshape(K, -1)
+        out = np.empty_like(x)
+        for row, shown in zip(x, out, strict=True):
+            shown[: K * m] = self.whole.read(row[: K * m].reshape(K, m)).ravel()
+        out[:, K * m :] = x[:, K * m :]
+        return out
 
-    def _sensed(self, z: np.ndarray) -> np.ndarray:
-        loop = self.whole.cells.loop
-        return sensed(loop, z @ loop.sensor.S_d.T)
+
+class SplitSystem(EmergentSystem):
+    """Of the modal and graph routes, which have exact flows."""
+
+    def splitting(self) -> CellFlows:
+        """The exact linear flow, and the polarities that turn."""
+        cells, flow = self.whole.cells, self.whole.parts
+        return CellFlows(cells, flow, cells.loop, (cells.n_cells, cells.order))
 
 
 def initial(cells: Any, z0: Any, p0: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -151,16 +216,21 @@ def initial(cells: Any, z0: Any, p0: Any) -> tuple[np.ndarray, np.ndarray]:
     return z, p
 
 
-def coupled_system(cells: Any, z0: Any = None, p0: Any = None) -> CoupledSystem:
-    """The whole as an `OdeSystem`; without a controller the commands are zero."""
-    whole, loop = Whole(cells), cells.loop
+def coupled_system(
+    cells: Any, z0: Any = None, p0: Any = None, *, emergent: bool = False
+) -> CoupledSystem:
+    """The whole as an `OdeSystem`; without a controller the commands are zero.
+
+    `emergent`: one whose samples are emergent latent states, for `CoupledCells.simulate`.
+    """
+    whole, loop = Whole(cells, modal=emergent), cells.loop
     K, m = cells.n_cells, cells.order
     z, p = initial(cells, z0, p0)
     n_c = whole.B.shape[1]
     blocks = [Block("x", (K, m))]
     start = whole.start(z).ravel()
     if loop is not None:
-        blocks.append(Block("p", (K, 3), "1", "controller", "internal"))
+        blocks.append(polarities(K))
         start = np.concatenate([start, p.ravel()])
 
     def forcing(t: float, state: np.ndarray) -> np.ndarray:
@@ -168,12 +238,15 @@ def coupled_system(cells: Any, z0: Any = None, p0: Any = None) -> CoupledSystem:
         if loop is None:
             return whole.rate(x, np.zeros((K, n_c))).ravel()
         heading = state[K * m :].reshape(K, 3)
-        d = sensed(loop, whole.read(x) @ loop.sensor.S_d.T)
+        d = sensed(loop, whole.sense(x))
         return np.concatenate(
             [whole.rate(x, commands(loop, heading)).ravel(), rates(loop, heading, d).ravel()]
         )
 
-    system = CoupledSystem(states=Layout(blocks), x0=start, forcing=forcing)
+    kind = CoupledSystem
+    if emergent:
+        kind = EmergentSystem if cells.modes is None else SplitSystem
+    system = kind(states=Layout(blocks), x0=start, forcing=forcing)
     object.__setattr__(system, "whole", whole)
     return system
 
