@@ -30,6 +30,8 @@ class Sink(Protocol):
 
 
 class MemorySink:
+    """Rows in memory, which must have room for them."""
+
     def __init__(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
         need = 8.0 * sum(int(np.prod(s, dtype=object)) for s in shapes.values())
         check_memory(
@@ -159,6 +161,7 @@ def log_averages(
 def log_sample(
     system: OdeSystem, arrays: Mapping[str, np.ndarray], k: int, t: float, x: np.ndarray
 ) -> None:
+    """Row k of the states and of what the system observes."""
     arrays["x"][k] = x
     for name, value in system.observe(t, x).items():
         if name in arrays:

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from cellsys.arguments import checked, unchecked
 from cellsys.contracts import StepSystem, needs
 from cellsys.errors import DataError, DimensionError, IntegrationError, ParameterError
 from cellsys.integrate.capabilities import Refines, StartsRuns
@@ -33,6 +34,7 @@ class Steps(Protocol):
     dt: float
 
 
+@checked
 class StepRun:
     """One run of a system: its step, and what is kept between steps.
 
@@ -47,10 +49,12 @@ class StepRun:
         """What a sample shows; default the states."""
         return self.system.states
 
+    @unchecked
     def step(self, x: np.ndarray, u: np.ndarray | None, t: float) -> np.ndarray:
         """x a step later, in a new array."""
         return self.system.step(x, u, t)
 
+    @unchecked
     def record(self, x: np.ndarray) -> np.ndarray:
         """The row of `recorded` at the state x."""
         return x
