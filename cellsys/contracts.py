@@ -17,19 +17,13 @@ from cellsys.trajectory import Trajectory
 
 __all__ = [
     "Cells",
-    "ChargedModel",
     "ChoosesOrder",
-    "FibreField",
-    "FieldReader",
     "Integrator",
     "LinearModel",
     "LinearSystem",
     "LoadPort",
     "MatrixField",
     "MatrixKind",
-    "ModalField",
-    "NetworkReader",
-    "PortedCell",
     "ReducedModel",
     "Reductor",
     "Regression",
@@ -245,63 +239,6 @@ class SteppedField(MatrixField, Protocol):
 
     def memory(self) -> Any:
         """What steps in a row keep for each other."""
-
-
-@runtime_checkable
-class ModalField(Protocol):
-    """A matrix field with modes as coordinates, such as cs.GalerkinField(system)."""
-
-    modes: Any
-
-
-@runtime_checkable
-class FibreField(Protocol):
-    """A matrix field with fibres, such as cs.GalerkinField(system)."""
-
-    matrix: Any
-
-
-@runtime_checkable
-class FieldReader(Protocol):
-    """A sensor that reads the field all cells share, such as cs.FieldSensor()."""
-
-    def directions(
-        self, field: MatrixField, q: np.ndarray, places: np.ndarray, p: np.ndarray
-    ) -> np.ndarray:
-        """Directions (K, 3) sensed at places (K, 2), um, by cells of polarities p (K, 3)."""
-
-
-@runtime_checkable
-class NetworkReader(Protocol):
-    """A sensor that reads the stiffness of a network at rest, such as a LocalSensor."""
-
-    K_s: np.ndarray
-    a: float
-    map: Any
-
-    def on(self, nodes: np.ndarray, stiffness: np.ndarray) -> NetworkReader:
-        """The same sensor on another network."""
-
-
-@runtime_checkable
-class ChargedModel(Protocol):
-    """A cell made of charges with a polar port, such as an EquivariantModel."""
-
-    dynamics: Any
-    representation: Any
-
-
-@runtime_checkable
-class PortedCell(Protocol):
-    """A linear cell with a load port, such as cs.CellPort(A, F)."""
-
-    A: np.ndarray
-    F: np.ndarray
-    C: np.ndarray
-    n_loads: int
-
-    def passivity(self) -> Any:
-        """Passivity of the port."""
 
 
 class Cells(Protocol):

@@ -276,7 +276,8 @@ def sniffed(sources: dict[str, str], members: set[str]) -> set[tuple[str, str]]:
 def test_contracts_are_not_sniffed():
     """What crosses a room crosses it in a contract (`needs`), not by ``hasattr``."""
     asked = contract_members(SOURCES["cellsys/contracts.py"])
-    asked |= contract_members(SOURCES["cellsys/integrate/capabilities.py"])
+    for room in ("integrate", "population/ported"):
+        asked |= contract_members(SOURCES[f"cellsys/{room}/capabilities.py"])
     found = sniffed(SOURCES, asked)
     assert not found, f"hasattr on a contract: {sorted(found)}"
 

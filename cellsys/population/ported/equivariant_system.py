@@ -16,12 +16,12 @@ import numpy as np
 
 from cellsys.cell.forecast import watched
 from cellsys.cell.on_field import CellsOnField, PortedState
-from cellsys.contracts import FieldReader
 from cellsys.integrate.estimate import EULER
 from cellsys.integrate.step_runs import StepRun
 from cellsys.loop import PolarityLaw
 from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.population.headings import turn
+from cellsys.population.ported.capabilities import FieldReader
 from cellsys.system import Block, Event, Layout
 
 

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import FibreField, MatrixField, NetworkReader
+from cellsys.contracts import MatrixField
 from cellsys.errors import ParameterError
 from cellsys.laws.sensing import nodal_sum, sensed_direction
 from cellsys.model.network_sensor import INNER, REACH
+from cellsys.population.ported.capabilities import FibreField, NetworkReader
 
 MEASURES = ("stiffness", "stress")
 

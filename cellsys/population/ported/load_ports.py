@@ -15,8 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from cellsys.arguments import checked
-from cellsys.contracts import ChargedModel, PortedCell
 from cellsys.errors import DimensionError, ParameterError, RepresentationError
+from cellsys.population.ported.capabilities import ChargedModel, PortedCell
 from cellsys.population.ported.equivariant_cells import EquivariantCells
 from cellsys.population.ported.field_sensor import standing_on
 from cellsys.population.ported.footprint import PatchPort

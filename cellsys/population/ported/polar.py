@@ -18,7 +18,8 @@ import scipy.sparse as sp
 
 from cellsys.cell.model import EquivariantModel
 from cellsys.cell.port import PolarPort, PortSites
-from cellsys.contracts import ChargedModel, MatrixField, ModalField
+from cellsys.contracts import MatrixField
+from cellsys.population.ported.capabilities import ChargedModel, ModalField
 from cellsys.population.ported.ports import CellPort
 
 
