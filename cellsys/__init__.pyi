@@ -24,7 +24,6 @@ from .errors import (
     DimensionError,
     FileFormatError,
     IntegrationError,
-    MissingExtraError,
     NotSymbolicError,
     ParameterError,
     RankError,

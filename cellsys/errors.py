@@ -113,7 +113,3 @@ class ExecutorError(CellsysError, RuntimeError):
 
 class MemoryBudgetError(CellsysError, MemoryError):
     """A scene or data set asks for more memory than there is."""
-
-
-class MissingExtraError(CellsysError, ImportError):
-    """An optional dependency is not installed; the message has the pip command."""

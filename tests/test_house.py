@@ -1,6 +1,7 @@
 """The rules of the house that a machine can check: imports go down, files are documented."""
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
@@ -317,6 +318,47 @@ def test_no_file_asks_which_matrix_it_has():
     # naive: a search for one spelling
     for asks in ("isinstance(scene.matrix, ChainScene)", "plan.matrix.kind == 'chain'"):
         assert told_apart({"a.py": f"def f(scene, plan):\n    return {asks}\n"}) == ["a.py:2"]
+
+
+def never_raised(errors: str, sources: dict[str, str]) -> set[str]:
+    """Exceptions of a file that no code makes or hands on to be raised."""
+    defined = {n.name for n in ast.parse(errors).body if isinstance(n, ast.ClassDef)}
+    used = set()
+    for text in sources.values():
+        for node in ast.walk(parsed(text)):
+            if isinstance(node, ast.Call):
+                given = [node.func, *node.args, *(k.value for k in node.keywords)]
+            elif isinstance(node, ast.Raise):
+                given = [node.exc]
+            else:
+                continue
+            used |= {value.id for value in given if isinstance(value, ast.Name)}
+    return defined - used
+
+
+def test_every_exception_is_raised():
+    """Of `errors`, but the root. Naive: a name that is imported and caught counts as used."""
+    found = never_raised(SOURCES["cellsys/errors.py"], SOURCES)
+    assert found <= {"CellsysError"}, f"never raised: {sorted(found)}"
+    caught = "from e import Lost\ntry:\n    f()\nexcept Lost:\n    pass\n"
+    assert never_raised("class Lost(Exception):\n    pass\n", {"a.py": caught}) == {"Lost"}
+
+
+def test_every_extra_is_used():
+    """A package of an extra is imported by the package, its tests or its scripts, or run by CI."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    text = "\n".join(
+        path.read_text("utf-8")
+        for folder in ("cellsys", "tests", "analysis")
+        for path in (ROOT / folder).rglob("*.py")
+    ) + (ROOT / ".ci" / "run").read_text("utf-8")
+    names = {"pytest-xdist": "-n 2", "dask[distributed]": "importorskip(\"distributed\")"}
+    for extra, wanted in project["optional-dependencies"].items():
+        for requirement in wanted:
+            package = requirement.split(">=")[0]
+            asked = names.get(package, rf"(import {package}\b|from {package}\b|-m {package}\b|"
+                              rf"bin/{package}\b|importorskip\(\"{package}[\".])")  # fmt: skip
+            assert re.search(asked if package not in names else re.escape(asked), text), extra
 
 
 def crowded(sources: dict[str, str], most: int) -> dict[str, int]:

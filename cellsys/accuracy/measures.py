@@ -8,11 +8,6 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import DimensionError, ParameterError
-from cellsys.observe import node_speed
-from cellsys.system import Layout
-from cellsys.trajectory import Trajectory
-
-THRESHOLD = 1.6e-3  # um/s: node speed above which the thesis calls a membrane node moving
 
 
 def mse(x: np.ndarray, reference: np.ndarray) -> float:
@@ -69,27 +64,3 @@ def measure(name: str, x: np.ndarray, reference: np.ndarray) -> float:
             f"states and reference must both be (T, n), got {x.shape}, {reference.shape}"
         )
     return MEASURES[name](x, reference)
-
-
-def by_block(x: np.ndarray, reference: np.ndarray, states: Layout) -> dict[str, float]:
-    """`relative` for each state block by itself."""
-    return {
-        b.name: relative(x[:, states.slice(b.name)], reference[:, states.slice(b.name)])
-        for b in states
-    }
-
-
-def polarity_angle(p: np.ndarray, reference: np.ndarray) -> float:
-    """Largest angle, degrees, between polarities (T, cells, 3) and the reference's."""
-    across = np.linalg.norm(np.cross(p, reference), axis=-1)
-    along = np.sum(p * reference, axis=-1)
-    return float(np.degrees(np.arctan2(across, along)).max(initial=0.0))
-
-
-def moving_share(
-    run: Trajectory, reference: Trajectory, block: str, threshold: float = THRESHOLD
-) -> float:
-    """Share of (node, interval) pairs of a position block on the wrong side of a speed, um/s."""
-    return float(
-        np.mean((node_speed(run, block) > threshold) != (node_speed(reference, block) > threshold))
-    )

@@ -356,9 +356,3 @@ def _orthonormal(matrix: np.ndarray) -> np.ndarray:
 def _add_product(out: np.ndarray, piece: np.ndarray, left: np.ndarray) -> np.ndarray:
     """out + piece^T left, in place where BLAS allows it."""
     return sla.blas.dgemm(1.0, piece.T, left, beta=1.0, c=out, overwrite_c=True)
-
-
-def latent_samples(data: Snapshots, basis: Basis, ahead: int = 0) -> np.ndarray:
-    """Z (n_samples, m): latent coordinates of the used samples, shifted by `ahead`."""
-    weight = basis.inverse_scale()[:, None] * basis.V
-    return np.concatenate([piece @ weight for piece in data.pieces(ahead, basis.mean)])

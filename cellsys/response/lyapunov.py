@@ -34,8 +34,7 @@ def lyapunov(A: np.ndarray, Q: np.ndarray, *, discrete: bool) -> tuple[np.ndarra
     a = float(sla.norm(A))
     if discrete:
         X = _stein(A, Q)
-        for _ in range(1):
-            X = X + _stein(A, A @ X @ A.T - X + Q)
+        X = X + _stein(A, A @ X @ A.T - X + Q)
         R, size = A @ X @ A.T - X + Q, (a * a + 1) * float(sla.norm(X))
     else:
         T, Z = sla.schur(A, output="real")

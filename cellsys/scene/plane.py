@@ -33,8 +33,8 @@ class Plane:
     """What every matrix under cells with a membrane has, a `MatrixKind` but for its network.
 
     A matrix of your own is a frozen dataclass of parameters (`cellsys.mechanics.effects.parameter`)
-    that derives from this one, with a `kind` of its own, `network`, `reach`, `node_count`, and
-    `outside` where cells may not stand everywhere.
+    that derives from this one, with a `kind` of its own, `network`, and `outside` where cells may
+    not stand everywhere.
     """
 
     kind: ClassVar[str] = "none"
@@ -49,13 +49,15 @@ class Plane:
 
     @property
     def node_count(self) -> int:
-        """Number of nodes of the network."""
-        return 0
+        """Number of nodes of the network; found by building it, unless a kind knows before."""
+        network = self.network(0)
+        return 0 if network is None else len(network.position)
 
     @property
     def reach(self) -> float:
-        """Radius of the largest circle about the middle that lies in the network, um."""
-        return 0.0
+        """Radius of a circle about the middle, within which training puts its loads, um."""
+        network = self.network(0)
+        return 0.0 if network is None else network.radius
 
     def network(self, seed: int) -> Disc | None:
         """Nodes and fibres; `seed` is that of the scene.

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from cellsys.errors import ParameterError, RankError
 from cellsys.reduction import PCR, ExactSVD, LeastSquares, RandomisedSVD, fit_basis, reduce
-from cellsys.reduction.basis import latent_samples, moments
+from cellsys.reduction.basis import moments
 from cellsys.samples import snapshots
 from tests.reduction.systems import linear_runs, one_step_data, stable_matrix, state_data
 
@@ -49,6 +49,12 @@ def test_streamed_randomised_svd_is_the_exact_one(scale):
     quick = fit_basis(data, order, method=RandomisedSVD())
     assert np.sin(sla.subspace_angles(exact.V, quick.V).max()) < 1e-3
     assert np.abs(quick.singular_values / exact.singular_values - 1).max() < 1e-6
+
+
+def latent_samples(data, basis):
+    """Z (n_samples, m): latent coordinates of the used samples."""
+    weight = basis.inverse_scale()[:, None] * basis.V
+    return np.concatenate([piece @ weight for piece in data.pieces(0, basis.mean)])
 
 
 @pytest.mark.parametrize("method", [ExactSVD(), RandomisedSVD()])

@@ -81,6 +81,7 @@ def test_a_model_of_one_cell_runs_beside_them(tmp_path):
     assert 0 < found.superposed < found.matrix  # of full-order cells: nothing reduced in it
     table = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert table["reduced"]["error_on_matrix"] == pytest.approx(found.matrix)
+    _ = found.latent.error  # made before it is told, however slow the machine is
     assert "two steps of the field" in result.report()
     odd = pair(**{'sample = "5 s"\nseed': 'sample = "4 s"\nseed'})
     with pytest.raises(ParameterError, match=r"sampled every 4 s, .* set sample = '10 s'"):
