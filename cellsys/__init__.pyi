@@ -46,6 +46,7 @@ from .integrate import (
     Radau,
     RungeKutta4,
     Sensitivities,
+    Splitting,
     end_gradient,
     pole_sensitivities,
     parameter_sensitivities,
