@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from cellsys.errors import ParameterError
-from cellsys.kinds import REAL_ARRAY, kind_of
+from cellsys.kinds import REAL_ARRAY, given_as, kind_of
 
 _T = TypeVar("_T")
 _MANY = 100  # arguments of a *name that are looked at
@@ -139,7 +139,7 @@ class _Place:
         self, name: str, annotation: Any, of_arrays: Callable[[Any], str | None] | None
     ) -> None:
         self.name, self.fault = name, kind_of(annotation).fault
-        self.is_array = annotation in (np.ndarray, np.ndarray | None)
+        self.is_array = given_as(annotation) in (np.ndarray, np.ndarray | None)
         # None is looked for first: most parameters are left out most of the time.
         self.optional = self.fault(None) is None
         if self.is_array and of_arrays is not None:

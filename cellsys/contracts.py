@@ -162,7 +162,7 @@ class Reductor(Protocol):
     """
 
     def fit(
-        self, snapshots: Any, order: int, *, test: Any = None, basis: Any = None
+        self, snapshots: Any, order: int, /, *, test: Any = None, basis: Any = None
     ) -> ReducedModel:
         """A model of this order learned from snapshots."""
 
@@ -345,7 +345,7 @@ class TransferFunctionLike(Protocol):
 
 
 LinearSystem = Annotated[
-    StateSpaceLike | TransferFunctionLike | tuple | Matrix,
+    StateSpaceLike | TransferFunctionLike | tuple[Any, ...] | Matrix,
     "a linear system: a control.StateSpace or a TransferFunction (of scipy.signal too; other forms "
     "of it by .to_ss()), (A, B, C, D), (A, B, C, D, dt) or a matrix A",
 ]

@@ -8,6 +8,7 @@
     a Protocol                     what the value lacks is named
     Annotated[K, "text"]           K, called by the text in the message
     Annotated[X, Takes(K)]         K: what is given, where what is kept is a narrower X
+    Filled[X]                      X or None: of a field left out, `__post_init__` makes the X
     Annotated[X, Kind(...)]        a kind of one's own, such as `Seed`, `Whole` and `Count` below
 
 A class may say in ``_made_by`` how one comes by it. Only the kind is looked at: what a value must
@@ -24,7 +25,7 @@ import types
 import typing
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Union
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union
 
 import numpy as np
 
@@ -43,6 +44,21 @@ class Takes(NamedTuple):
     """In ``Annotated[X, Takes(K)]``: a field of type X may be given as K."""
 
     kind: Any
+
+
+_T = TypeVar("_T")
+_OR_NONE = Takes(None)  # beside the kind itself
+Filled = Annotated[_T, _OR_NONE]
+FILLED: Any = None  # the default of such a field
+
+
+def given_as(annotation: Any) -> Any:
+    """What may be given where a value is kept as annotated."""
+    if typing.get_origin(annotation) is Annotated:
+        for note in annotation.__metadata__:
+            if isinstance(note, Takes):
+                return annotation.__origin__ | None if note is _OR_NONE else note.kind
+    return annotation
 
 
 def shown(value: object) -> str:
@@ -160,13 +176,12 @@ Count = Annotated[int, _must_be("a whole number >= 1", lambda v: _is_whole(v) an
 @functools.cache
 def kind_of(annotation: Any) -> Kind:
     """The kind that an annotation stands for; annotations it does not know hold for anything."""
+    annotation = given_as(annotation)
     if annotation in _PLAIN:
         return _PLAIN[annotation]
     origin, inside = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is Annotated:
         for note in inside[1:]:
-            if isinstance(note, Takes):
-                return kind_of(note.kind)
             if isinstance(note, Kind):
                 return note
             if isinstance(note, str):

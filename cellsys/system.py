@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple, TypeGuard
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,13 +27,18 @@ from cellsys.errors import (
     ParameterError,
     UnknownNameError,
 )
-from cellsys.kinds import Takes, shown
+from cellsys.kinds import FILLED, Takes, shown
 from cellsys.units import real_array
 
 ROLES = ("component", "field", "controller")
 Matrix = Annotated[
     np.ndarray | sp.sparray | sp.spmatrix, "a matrix of numbers, an array or scipy.sparse"
 ]
+
+
+def is_sparse(matrix: object) -> TypeGuard[sp.csr_array | sp.csc_array]:
+    """Whether it is a sparse matrix, of whichever format."""
+    return sp.issparse(matrix)
 
 
 @checked
@@ -246,8 +251,8 @@ class OdeSystem:
     x0: np.ndarray
     auxiliaries: Annotated[Layout, Takes(Layout | Sequence[Block | str])] = Layout()
     inputs: Annotated[Layout, Takes(Layout | Sequence[Block | str])] = Layout()
-    W_x: Annotated[sp.csr_array, Takes(Matrix | None)] = None
-    W_eta: Annotated[sp.csr_array, Takes(Matrix | None)] = None
+    W_x: Annotated[sp.csr_array, Takes(Matrix | None)] = FILLED
+    W_eta: Annotated[sp.csr_array, Takes(Matrix | None)] = FILLED
     law: Callable[[Any, Any], Any] | None = None
     forcing: Callable[[Any, Any], Any] | None = None
 

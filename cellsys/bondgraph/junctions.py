@@ -6,13 +6,21 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 import scipy.sparse as sp
 
 from cellsys.arguments import checked
-from cellsys.bondgraph.elements import JUNCTIONS, TWO_PORTS, BondElement, CField, Internal
+from cellsys.bondgraph.elements import (
+    GY,
+    JUNCTIONS,
+    TF,
+    TWO_PORTS,
+    BondElement,
+    CField,
+    Internal,
+)
 from cellsys.bondgraph.quantities import DOMAINS
 from cellsys.errors import CausalityError, ParameterError
 
@@ -253,12 +261,12 @@ class JunctionGraph:
         return inner, outer
 
 
-def is_modulated(element: BondElement) -> bool:
+def is_modulated(element: BondElement) -> TypeGuard[TF | GY]:
     """Whether a TF or GY has a ratio that depends on the state."""
     return isinstance(element, TWO_PORTS) and callable(element.ratio)
 
 
-def is_matrix(element: BondElement) -> bool:
+def is_matrix(element: BondElement) -> TypeGuard[TF]:
     """Whether a TF has a constant matrix for its ratio."""
     ratio = getattr(element, "ratio", None)
     return sp.issparse(ratio) or (isinstance(ratio, np.ndarray) and ratio.ndim == 2)

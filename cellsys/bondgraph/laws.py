@@ -16,14 +16,14 @@ import numpy as np
 import scipy.linalg as sla
 import scipy.sparse as sp
 
-from cellsys.bondgraph.elements import GY, TF, CField, Internal, NodalEffort, R
+from cellsys.bondgraph.elements import GY, TF, CField, Internal, NodalEffort, R, Se, Sf
 from cellsys.bondgraph.junctions import is_modulated
 from cellsys.bondgraph.outputs import Output, output_sign
 from cellsys.bondgraph.quantities import dimension_of, read
 from cellsys.bondgraph.structure import Structure
 from cellsys.errors import CausalityError, DimensionError, IntegrationError, NotSymbolicError
 from cellsys.laws.arrays import is_symbolic
-from cellsys.system import Layout
+from cellsys.system import Layout, is_sparse
 
 NEWTON_STEPS = 60
 _NONE = np.zeros(0)
@@ -121,11 +121,14 @@ class Laws:
         """A source's function of time, or its number in the graph's units."""
         graph = self.structure.graph
         port = graph.ports[output.index]
-        if callable(port.element.value):
-            return port.element.value
+        source = port.element
+        if not isinstance(source, (Se, Sf)):
+            raise CausalityError(f"{output.name!r} is no source")
+        if callable(source.value):
+            return source.value
         quantity = "effort" if output.quantity == "e" else "flow"
         expected = dimension_of(quantity, graph.domains[port.bond])
-        return read(port.element.value, expected, graph.units, f"source {output.name!r}")
+        return read(source.value, expected, graph.units, f"source {output.name!r}")
 
     def view(self, x: Any) -> Mapping[str, Any]:
         """States by name, each in its block's shape."""
@@ -205,12 +208,16 @@ class Laws:
             def law(v: Any, s: Any) -> Any:
                 return factor * v
         else:
-            function = element.law if o.quantity == "e" else element.inverse
+            function = None
+            if isinstance(element, R):
+                function = element.law if o.quantity == "e" else element.inverse
+                solvable = element.monotone
+            if function is None:
+                raise CausalityError(f"{element.name!r} has no law for what it is asked")
 
             def law(v: Any, s: Any) -> Any:
                 return sign * function(v)
 
-            solvable = element.monotone
         rows = structure.inner[seen]
         A = [rows @ Y for Y in (structure.Y_x, structure.Y_eta, structure.Y_s)]
         if max(structure.states.size, self.size) <= DENSE:
@@ -266,7 +273,7 @@ class Laws:
 
 
 def _dense(matrix: Any) -> np.ndarray:
-    return matrix.toarray() if sp.issparse(matrix) else matrix
+    return matrix.toarray() if is_sparse(matrix) else matrix
 
 
 def _unowned(name: str) -> Callable[[Any, Any, Mapping[str, Any]], Any]:
@@ -295,7 +302,7 @@ def _is_loop(group: list[_Memoryless]) -> bool:
         return True
     m = group[0]
     own = m.A_eta[:, m.place]
-    return bool(own.nnz if sp.issparse(own) else np.any(own))
+    return bool(own.nnz if is_sparse(own) else np.any(own))
 
 
 def _sorted(items: list[_Memoryless]) -> list[list[_Memoryless]]:

@@ -143,7 +143,7 @@ def unit_of(graph: JunctionGraph, output: Output) -> str:
 
 def auxiliaries_of(graph: JunctionGraph, outputs: Sequence[Output]) -> Layout:
     """Blocks of outputs that are auxiliaries; the role of each is that of the array it acts on."""
-    roles = {}
+    roles: dict[int, str] = {}
     for name, bonds in graph.junction_bonds.items():
         position = getattr(graph.by_name[name], "position", None)
         if isinstance(position, Block):

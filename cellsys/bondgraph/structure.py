@@ -21,8 +21,8 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from cellsys.bondgraph.causality import EFFORT, FLOW, Causality, variable
-from cellsys.bondgraph.elements import C, CField, I, Internal, One
-from cellsys.bondgraph.junctions import BondPort, JunctionGraph, is_matrix
+from cellsys.bondgraph.elements import TF, C, CField, I, Internal, One, Se, Sf
+from cellsys.bondgraph.junctions import JunctionGraph, is_matrix
 from cellsys.bondgraph.outputs import (
     Output,
     auxiliaries_of,
@@ -197,9 +197,10 @@ def _states(
                     output.shape,
                     units[3 if momentum else 2],
                 )
-                value = element.p0 if momentum else element.q0
                 if isinstance(element, CField):
                     value = element.q0.get(port.port, 0.0)
+                else:
+                    value = element.p0 if isinstance(element, I) else element.q0
                 add(port.name, block, value, inner[port.name])
     rate = sp.csr_array(sp.vstack(rates)) if rates else sp.csr_array((0, width))
     x0 = np.concatenate(start) if start else np.zeros(0)
@@ -245,10 +246,10 @@ def _hidden_row(
     """G for one memoryless linear or dependent output: w = G y."""
     port = graph.ports[output.index]
     sign = output_sign(port, output.quantity)
-    if output.kind == "memoryless" and not is_matrix(port.element):
-        return sp.csr_array(sp.diags_array(sign * output.constant) @ inner[port.name])
+    if output.kind == "memoryless" and is_matrix(port.element):
+        return _matrix_row(graph, port.element, output, inner)
     if output.kind == "memoryless":
-        return _matrix_row(graph, port, output, inner)
+        return sp.csr_array(sp.diags_array(sign * output.constant) @ inner[port.name])
     behind = inner[port.name]
     used = np.unique(behind.indices[behind.data != 0])
     for other in outputs:
@@ -256,7 +257,8 @@ def _hidden_row(
             continue
         if other.kind == "linear" or (other.kind == "law" and other.constant is not None):
             continue
-        if other.kind == "source" and not callable(graph.ports[other.index].element.value):
+        source = graph.ports[other.index].element
+        if isinstance(source, (Se, Sf)) and not callable(source.value):
             continue
         kind = "time-varying source" if other.kind == "source" else "nonlinear element"
         raise CausalityError(
@@ -267,22 +269,23 @@ def _hidden_row(
 
 
 def _matrix_row(
-    graph: JunctionGraph, port: BondPort, output: Output, inner: dict[str, sp.csr_array]
+    graph: JunctionGraph, element: TF, output: Output, inner: dict[str, sp.csr_array]
 ) -> sp.csr_array:
     """e_in = M^T e_out, f_out = M f_in; M acts on nodes, or on all entries."""
-    a, b = graph.two_port_sides(port.element)
+    port = graph.ports[output.index]
+    a, b = graph.two_port_sides(element)
     shape_in, shape_out = graph.shapes[a.bond], graph.shapes[b.bond]
-    M = sp.csr_array(port.element.ratio)
+    M = sp.csr_array(element.ratio)
     if len(shape_in) == len(shape_out) == 2 and shape_in[1] == shape_out[1]:
         if M.shape == (shape_out[0], shape_in[0]):
             M = sp.csr_array(sp.kron(M, sp.eye_array(shape_in[1])))
     if M.shape != (size_of(shape_out), size_of(shape_in)):
         raise DimensionError(
-            f"TF {port.element.name!r}: ratio must map shape {shape_in} to {shape_out}, "
+            f"TF {element.name!r}: ratio must map shape {shape_in} to {shape_out}, "
             f"got a matrix {M.shape}"
         )
     if not np.all(np.isfinite(M.data)):
-        raise ParameterError(f"TF {port.element.name!r}: ratio holds NaN or inf")
+        raise ParameterError(f"TF {element.name!r}: ratio holds NaN or inf")
     # The input of the e_in output is f_in, but its law needs e_out: cross over.
     return sp.csr_array(M.T @ inner[b.name] if port == a else M @ inner[a.name])
 

@@ -66,7 +66,7 @@ def unpack(
     return W, Z
 
 
-def turn(values: np.ndarray, q: int, alpha: float) -> np.ndarray:
+def turn(values: np.ndarray, q: int, alpha: float | np.ndarray) -> np.ndarray:
     """Coefficients of charge q after a rotation by alpha."""
     return values * np.exp(1j * q * alpha) if q else values
 

@@ -125,7 +125,9 @@ def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
             meta["load_weight"],
         )
         modes = ChargeModes(
-            *({q: arrays[f"{k} {q}"] for q in CHARGES} for k in ("decoder", "encoder", "variance")),
+            {q: arrays[f"decoder {q}"] for q in CHARGES},
+            {q: arrays[f"encoder {q}"] for q in CHARGES},
+            {q: arrays[f"variance {q}"] for q in CHARGES},
             {int(q): v for q, v in meta["tail"].items()},
         )
         sites = PortSites(arrays["site nodes"], arrays["site place"], arrays["site area"])

@@ -181,7 +181,7 @@ class EquivariantModel(AffineModel):
             for b in self.auxiliaries
             if b.name.startswith("matrix.") and b.name.endswith(f".{self.cell}") and b.unit == "pN"
         ]
-        return sum(self.auxiliaries.view(eta, n) for n in names)
+        return sum((self.auxiliaries.view(eta, n) for n in names), start=np.zeros(()))
 
     def encode_cell(
         self, nodes: np.ndarray, loads: list[dict[int, np.ndarray]] | None

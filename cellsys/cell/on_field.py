@@ -13,6 +13,7 @@ step of the field does not gain energy.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -81,6 +82,8 @@ class CellsOnField:
     field: SteppedField
     tolerance: float = 1e-5
     cap: Count = 60
+    sites: PortSites = dataclasses.field(init=False, repr=False)
+    cascade: bool = dataclasses.field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         sites = PortSites.of(self.field.nodes, self.field.surface)

@@ -156,8 +156,9 @@ def _loads(
     for k, footprint in zip(grid, under, strict=True):
         around = slice(max(k - 1, 0), min(k, last) + 1)
         if k == 0 and run.eta_start is not None:
-            force = sum(np.asarray(run.eta_start)[c] for c in columns)
+            parts = [np.asarray(run.eta_start)[c] for c in columns]
         else:
-            force = sum(np.mean(run.eta[around, c], axis=0) for c in columns)
+            parts = [np.mean(np.asarray(run.eta)[around, c], axis=0) for c in columns]
+        force = sum(parts, start=np.zeros(()))
         loads.append(footprint.load(force.reshape(-1, 3)))
     return loads

@@ -200,7 +200,7 @@ class _Variance:
             }
             if not gains:
                 return chosen
-            best = max(gains, key=gains.get)
+            best = max(gains, key=lambda q: gains[q])
             chosen[best] += 1
             used += _cost(best)
 

@@ -98,10 +98,10 @@ class _Descent:
         self, p: StepProblem, q0: np.ndarray, load: np.ndarray, dt: float, memory: StepMemory
     ) -> None:
         self.p, self.q0, self.load, self.dt, self.memory = p, q0, load, dt, memory
-        known = memory.at(q0)
-        self.F0 = memory.force if known else p.force(q0)
-        self.U0 = memory.energy if known else p.energy(q0)
-        self.evaluations, self.halvings, self.fresh = int(not known), 0, 0
+        known = memory.force if memory.at(q0) else None
+        self.F0 = p.force(q0) if known is None else known
+        self.U0 = p.energy(q0) if known is None else memory.energy
+        self.evaluations, self.halvings, self.fresh = int(known is None), 0, 0
         if memory.dt != dt:
             memory.pairs.clear()
         self.scale = max(float(np.linalg.norm(load)), float(np.linalg.norm(self.F0)), 1e-12)

@@ -14,7 +14,7 @@ from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.field.elasticity import MatrixEnergy
 from cellsys.field.field import GradientField
 from cellsys.field.modes import response_modes
-from cellsys.kinds import Seed
+from cellsys.kinds import FILLED, Filled, Seed
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.trajectory import Trajectory
 from cellsys.units import real_array
@@ -69,13 +69,14 @@ class GalerkinField(GradientField):
     snapshots: np.ndarray | Trajectory | Sequence[np.ndarray | Trajectory] | None = (
         field(default=None, repr=False)
     )
-    places: int | None = None
+    places: Filled[int] = FILLED
     per_place: int = 5
     slope: float = 0.85
     tolerance: float = 1e-3
     iterations: int = 200
-    modes: np.ndarray | None = field(default=None, repr=False)
+    modes: Filled[np.ndarray] = field(default=FILLED, repr=False)
     singular_values: np.ndarray | None = field(default=None, init=False, repr=False)
+    _rows: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         matrix = MatrixEnergy(self.system)
@@ -154,7 +155,7 @@ class GalerkinField(GradientField):
         kept = self._kept.get("lifted")
         if kept is not None and np.array_equal(kept[0], q):
             return kept[1]
-        u = np.zeros(3 * self.matrix.n)
+        u: np.ndarray = np.zeros(3 * self.matrix.n)
         u[self.matrix.free] = self._rows @ q
         u = u.reshape(-1, 3)
         u.setflags(write=False)

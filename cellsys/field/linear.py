@@ -17,10 +17,11 @@ from cellsys.field.ports import (
     port_patterns,
     step_index,
 )
+from cellsys.kinds import FILLED
 from cellsys.model.latent import LatentModel
 from cellsys.state_space import state_space
 from cellsys.store.memory import size_text
-from cellsys.system import Block, Layout
+from cellsys.system import Block, Layout, is_sparse
 
 
 class LinearisedField:
@@ -44,7 +45,7 @@ class LinearisedField:
                 "use GalerkinField"
             )
         K = self.stiffness if at is None else self.tangent(at)
-        return K.toarray() if sp.issparse(K) else np.array(K)
+        return K.toarray() if is_sparse(K) else np.array(K)
 
     def plant(self, ports: Any, *, output: str = "velocity", at: np.ndarray | None = None) -> Any:
         """The field between load ports as `control.StateSpace`, linearised at rest or at q = `at`.
@@ -95,17 +96,17 @@ class LinearisedField:
         else:
             patterns, names = port_patterns(ports, len(self.nodes))
             E, names = self.project(patterns), [f"f_{name}" for name in names]
-        offset = None
+        offset = FILLED
         if at is not None:
             offset = (self.force(at) + K @ np.asarray(at, dtype=float)) / self.drag
-        V = self.modes.toarray() if sp.issparse(self.modes) else self.modes
+        V = self.modes.toarray() if is_sparse(self.modes) else self.modes
         return LatentModel(
             -K / self.drag,
             B=E.T / self.drag,
             offset=offset,
             V=V,
             n_states=len(V),
-            blocks={"component": (), "field": range(len(V))},
+            blocks={"component": np.arange(0), "field": np.arange(len(V))},
             states=Layout([Block("matrix.displacement", self.nodes.shape, "um", "field")]),
             input_names=tuple(names),
         )

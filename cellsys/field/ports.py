@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
-import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.shown import Shown
+from cellsys.system import is_sparse
 
 MOST_DENSE = 3000  # coordinates: beyond, dense matrices and their eigenvalues take minutes
 _ANGLES = 400  # frequencies on the unit circle
@@ -78,7 +78,8 @@ def port_patterns(ports: Any, n: int) -> tuple[np.ndarray, list[str]]:
         Nodes give three ports each, a unit force along x, y and z.
     """
     if isinstance(ports, Mapping):
-        names, patterns = [str(k) for k in ports], list(ports.values())
+        names = [str(k) for k in ports]
+        patterns = np.asarray(list(ports.values()), dtype=float)
     else:
         given = np.asarray(ports)
         if given.ndim == 1 and given.size and np.issubdtype(given.dtype, np.integer):
@@ -105,7 +106,7 @@ def port_patterns(ports: Any, n: int) -> tuple[np.ndarray, list[str]]:
 
 def least_eigenvalue(K: Any) -> tuple[float, float]:
     """(least, greatest) eigenvalue of a symmetric matrix, dense or sparse."""
-    if not sp.issparse(K):
+    if not is_sparse(K):
         w = sla.eigvalsh(K)
         return float(w[0]), float(w[-1])
     start = np.ones(K.shape[0])

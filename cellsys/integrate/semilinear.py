@@ -146,6 +146,7 @@ class Flow:
     """What both forms of exp(A t) share: how finely the kernel must be sampled."""
 
     rates: np.ndarray
+    size: int
 
     def levels(self, h: float) -> int | None:
         """Dyadic pieces [h/2, h], [h/4, h/2], .. that resolve e^{A r} on [0, h]; None: too long.
@@ -164,6 +165,30 @@ class Flow:
             if lost[:-1].max(initial=-np.inf) >= _LOG_CLOSED:
                 return None
         return None
+
+    def start(self, z: np.ndarray) -> np.ndarray:
+        """w (..., M), what the flow acts on, of z (..., m)."""
+        raise NotImplementedError
+
+    def read(self, w: np.ndarray) -> np.ndarray:
+        """z (..., m) of w (..., M)."""
+        raise NotImplementedError
+
+    def exponential(self, t: float) -> np.ndarray:
+        """e^{A t} as `apply` wants it."""
+        raise NotImplementedError
+
+    def apply(self, E: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """e^{A t} w."""
+        raise NotImplementedError
+
+    def interval(self, step: np.ndarray | float, nodes: np.ndarray) -> np.ndarray:
+        """Weights of commands at `nodes` in their effect after `step` seconds."""
+        raise NotImplementedError
+
+    def response(self, weights: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """Effect (T, M) of commands C (T, q, n_c) by `interval` weights."""
+        raise NotImplementedError
 
 
 class ModalFlow(Flow):
@@ -221,7 +246,7 @@ class ModalFlow(Flow):
         """S e^{A r} [B, b] (times, n_o, n_c)."""
         return np.matmul(self.S.real, kernel.real) - np.matmul(self.S.imag, kernel.imag)
 
-    def interval(self, step: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    def interval(self, step: np.ndarray | float, nodes: np.ndarray) -> np.ndarray:
         """Weights (..., q, M) of commands at `nodes` in their effect after `step` seconds."""
         z = np.multiply.outer(step, self.rates)
         parts = np.moveaxis(phi(z, len(nodes))[1:], 0, -2)
@@ -272,12 +297,12 @@ class DenseFlow(Flow):
         """S e^{A r} [B, b] (times, n_o, n_c)."""
         return np.matmul(self.S, kernel)
 
-    def interval(self, step: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    def interval(self, step: np.ndarray | float, nodes: np.ndarray) -> np.ndarray:
         """Weights (..., m, q n_c) of commands at `nodes` in their effect after `step` seconds."""
-        step, q, (m, n_c) = np.asarray(step), len(nodes), self.B.shape
+        steps, q, (m, n_c) = np.asarray(step), len(nodes), self.B.shape
         lagrange = interval_weights(nodes)
-        out = np.zeros((*step.shape, m, q * n_c))
-        for index, t in np.ndenumerate(step):
+        out = np.zeros((*steps.shape, m, q * n_c))
+        for index, t in np.ndenumerate(steps):
             # exp of [[A t, B t, 0..], [0, 0, I, ..], ..] has t phi_k(A t) B in its first row.
             big = np.zeros((m + q * n_c, m + q * n_c))
             big[:m, :m], big[:m, m : m + n_c] = self.A * t, self.B * t

@@ -268,8 +268,8 @@ def integrator_of(method: Any, system: OdeSystem, times: np.ndarray, averages: b
         last = ca.fmin(form.t, float(np.nextafter(times[-1], times[0])))
         xdot, law = ca.substitute([form.xdot, form.eta], [form.t], [last])
         problem = {"x": form.x, "t": form.t, "ode": xdot}
-        if getattr(form, "p", None) is not None:
-            problem["p"] = form.p
+        if (p := getattr(form, "p", None)) is not None:
+            problem["p"] = p
         if averages:
             n_eta = system.auxiliaries.size
             rest = xdot - ca.DM(system.W_x.toarray()) @ form.x

@@ -131,17 +131,13 @@ class AffineModel(Drawable):
             B,
             C,
             np.zeros((len(C), B.shape[1])),
-            self.dt if discrete else 0,
+            self.dt if discrete and self.dt is not None else 0,
             states=states,
             # control does not allow dots in signal names
             inputs=[n.replace(".", "_") for n in self.input_names],
             outputs=outputs,
             name=f"plant_m{self.order}",
         )
-
-    def at(self, t: float) -> AffineModel:
-        """The model frozen at time t, s: itself, unless its matrices follow a clock."""
-        return self
 
     def validity(self, t: np.ndarray, z: np.ndarray, u: np.ndarray | None = None) -> list[Flag]:
         """Where a roll-out of `predict` leaves what the model was trained on, in order of time.

@@ -51,7 +51,7 @@ def save_model(model: Any, path: str | Path) -> Path:
     return save_archive(path, _KIND, _VERSION, arrays, metadata)
 
 
-def load_model(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray] | None]:
+def load_model(path: str | Path) -> tuple[dict[str, Any], dict[str, Any] | None]:
     """Fields of the model in a file, and the arrays of its sensor (None without one).
 
     Raises
@@ -110,14 +110,17 @@ def card_from(table: dict[str, Any] | None) -> Card | None:
     return Card(**(table | tuples))
 
 
-def layout_table(layout: Layout | None) -> list | None:
+_Row = tuple[str, list[int], str, str, str]  # of a Block; JSON makes it a list
+
+
+def layout_table(layout: Layout | None) -> list[_Row] | None:
     """A layout as plain values."""
     if layout is None:
         return None
-    return [[b.name, list(b.shape), b.unit, b.role, b.kind] for b in layout]
+    return [(b.name, list(b.shape), b.unit, b.role, b.kind) for b in layout]
 
 
-def layout_from(table: list | None) -> Layout | None:
+def layout_from(table: list[_Row] | None) -> Layout | None:
     """A layout from plain values."""
     if table is None:
         return None

@@ -35,7 +35,7 @@ def to_continuous(A: np.ndarray, B: np.ndarray, b: np.ndarray, dt: float) -> Aff
     """
     m = A.shape[0]
     step = np.eye(m) + dt * A
-    eigenvalues = sla.eigvals(step)
+    eigenvalues: np.ndarray = sla.eigvals(step)
     bad = (eigenvalues.real <= 0) & (
         np.abs(eigenvalues.imag) <= 1e-12 * np.abs(eigenvalues).max(initial=1.0)
     )

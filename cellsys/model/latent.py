@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
@@ -19,6 +19,7 @@ from cellsys.errors import (
     ParameterError,
     RepresentationError,
 )
+from cellsys.kinds import FILLED, Filled, Takes
 from cellsys.model.affine import AffineModel
 from cellsys.model.card import Card
 from cellsys.model.file import ARRAYS, kind_of_file, load_model, save_model
@@ -28,11 +29,20 @@ from cellsys.system import Layout
 from cellsys.units import real_array, real_number
 
 
-def _row_indices(name: str, rows: Sequence[int]) -> np.ndarray:
+def _row_indices(name: str, rows: Sequence[int] | np.ndarray) -> np.ndarray:
     found = np.asarray(list(rows))
     if found.size and (found.ndim != 1 or found.dtype.kind not in "iu"):
         raise DataError(f"blocks[{name!r}] must list whole row numbers, got {found.dtype}")
     return found.astype(int)
+
+
+class _Rows(NamedTuple):
+    """The basis, mean and scale of the rows [x; eta], and how many of them are states."""
+
+    V: np.ndarray
+    mean: np.ndarray
+    scale: np.ndarray
+    n: int
 
 
 @checked
@@ -82,18 +92,20 @@ class LatentModel(AffineModel):
     """
 
     A: np.ndarray
-    B: np.ndarray | None = None
-    offset: np.ndarray | None = None
+    B: Filled[np.ndarray] = FILLED
+    offset: Filled[np.ndarray] = FILLED
     V: np.ndarray | None = None
     mean: np.ndarray | None = None
     scale: np.ndarray | None = None
     singular_values: np.ndarray | None = None
     dt: float | None = None
     n_states: int | None = None
-    blocks: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    blocks: Annotated[Mapping[str, np.ndarray], Takes(Mapping[str, Sequence[int]])] = field(
+        default_factory=dict
+    )
     states: Layout | None = None
     auxiliaries: Layout | None = None
-    input_names: tuple[str, ...] | None = None
+    input_names: Filled[tuple[str, ...]] = FILLED
     z_start: np.ndarray | None = None
     sensor: StiffnessSensor | None = None
     card: Card | None = None
@@ -121,12 +133,7 @@ class LatentModel(AffineModel):
         V = self.V
         if V is not None and V.ndim != 2:
             raise DimensionError(f"V must be a matrix, got shape {V.shape}")
-        if V is not None:
-            rows = len(V)
-            put("mean", np.zeros(rows) if self.mean is None else self.mean)
-            put("scale", np.ones(rows) if self.scale is None else self.scale)
-            put("n_states", rows if self.n_states is None else int(self.n_states))
-        shapes = {
+        shapes: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
             "B": (self.B.shape, (m, *self.B.shape[-1:])),
             "offset": (self.offset.shape, (m,)),
         }
@@ -136,15 +143,21 @@ class LatentModel(AffineModel):
             shapes["refits"] = (self.refits.shape, (*self.refits.shape[:1], m, m))
         if V is not None:
             rows = len(V)
+            mean = np.zeros(rows) if self.mean is None else self.mean
+            scale = np.ones(rows) if self.scale is None else self.scale
+            n = rows if self.n_states is None else int(self.n_states)
+            put("mean", mean)
+            put("scale", scale)
+            put("n_states", n)
             shapes |= {
                 "V": (V.shape, (rows, m)),
-                "mean": (self.mean.shape, (rows,)),
-                "scale": (self.scale.shape, (rows,)),
+                "mean": (mean.shape, (rows,)),
+                "scale": (scale.shape, (rows,)),
             }
-            if np.any(self.scale < 0):
+            if np.any(scale < 0):
                 raise DataError("scale holds a negative factor; 0 marks a dropped column")
-            if not 0 <= self.n_states <= rows:
-                raise DimensionError(f"n_states must be between 0 and {rows}, got {self.n_states}")
+            if not 0 <= n <= rows:
+                raise DimensionError(f"n_states must be between 0 and {rows}, got {n}")
         for name, (got, expected) in shapes.items():
             if got != expected:
                 raise DimensionError(f"{name} must have shape {expected}, got {got}")
@@ -180,22 +193,25 @@ class LatentModel(AffineModel):
 
     # Shape and parts
 
-    def _basis(self, name: str) -> np.ndarray:
-        if self.V is None:
+    def _basis(self, name: str) -> _Rows:
+        V, mean, scale, n = self.V, self.mean, self.scale, self.n_states
+        if V is None or mean is None or scale is None or n is None:
             raise RepresentationError(
                 f"this model was given without a basis, so it has no {name}; pass V=..."
             )
-        return self.V
+        return _Rows(V, mean, scale, n)
 
     @property
     def V_x(self) -> np.ndarray:
         """Rows of V that belong to the states (n, m)."""
-        return self._basis("V_x")[: self.n_states]
+        rows = self._basis("V_x")
+        return rows.V[: rows.n]
 
     @property
     def V_eta(self) -> np.ndarray:
         """Rows of V that belong to the auxiliaries (n_eta, m)."""
-        return self._basis("V_eta")[self.n_states :]
+        rows = self._basis("V_eta")
+        return rows.V[rows.n :]
 
     # Coordinates
 
@@ -206,13 +222,12 @@ class LatentModel(AffineModel):
         reproduces x (minimum norm; directions below 1e-8 of the largest are left at zero). A
         model of states alone, V (n, m), does not look at `eta`.
         """
-        V = self._basis("encode")
-        n = self.n_states
+        V, mean, scale, n = self._basis("encode")
         x = np.asarray(x, dtype=float)
         if x.shape[-1] != n:
             raise DimensionError(f"x must have {n} entries, got {x.shape[-1]}")
-        inverse = np.divide(1.0, self.scale, out=np.zeros_like(self.scale), where=self.scale > 0)
-        centred = (x - self.mean[:n]) * inverse[:n]
+        inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
+        centred = (x - mean[:n]) * inverse[:n]
         if n == len(V):
             return centred @ V
         if eta is None:
@@ -222,19 +237,17 @@ class LatentModel(AffineModel):
         eta = np.asarray(eta, dtype=float)
         if eta.shape[-1] != len(V) - n:
             raise DimensionError(f"eta must have {len(V) - n} entries, got {eta.shape[-1]}")
-        return centred @ V[:n] + ((eta - self.mean[n:]) * inverse[n:]) @ V[n:]
+        return centred @ V[:n] + ((eta - mean[n:]) * inverse[n:]) @ V[n:]
 
     def reconstruct(self, z: np.ndarray) -> np.ndarray:
         """x (n,) or (T, n) from z (m,) or (T, m)."""
-        n = self.n_states
-        V = self._basis("reconstruct")
-        return self.mean[:n] + (np.asarray(z) @ V[:n].T) * self.scale[:n]
+        V, mean, scale, n = self._basis("reconstruct")
+        return mean[:n] + (np.asarray(z) @ V[:n].T) * scale[:n]
 
     def reconstruct_eta(self, z: np.ndarray) -> np.ndarray:
         """eta (n_eta,) or (T, n_eta) from z."""
-        n = self.n_states
-        V = self._basis("reconstruct_eta")
-        return self.mean[n:] + (np.asarray(z) @ V[n:].T) * self.scale[n:]
+        V, mean, scale, n = self._basis("reconstruct_eta")
+        return mean[n:] + (np.asarray(z) @ V[n:].T) * scale[n:]
 
     # Dynamics
 
@@ -256,6 +269,10 @@ class LatentModel(AffineModel):
         z0, t, c, repeats = check_roll_out(self.order, self.B.shape[1], self.dt, z0, u, t)
         matrices = (lambda dt: self.step_matrices()) if self.dt is not None else self.step_matrices
         return roll(z0, c, t, repeats, matrices, self.growth)
+
+    def at(self, t: float) -> LatentModel:
+        """The model frozen at time t, s: itself, its matrices follow no clock."""
+        return self
 
     # Files
 

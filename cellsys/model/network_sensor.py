@@ -15,10 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
+from cellsys.arguments import needs
 from cellsys.errors import DataError, DimensionError
+from cellsys.kinds import FILLED, Filled
 from cellsys.laws.sensing import measure_moment
 from cellsys.model.sensor import StiffnessSensor, angle_error, ridge_maps, ridge_weights
 
@@ -113,17 +116,18 @@ class LocalSensor(StiffnessSensor):
         Mean angle error, deg, of every choice of inputs on the runs left out.
     """
 
-    K_s: np.ndarray | None = None
-    map: StiffnessMap | None = None
+    K_s: Filled[np.ndarray] = FILLED
+    map: Filled[StiffnessMap] = FILLED  # to be given: the fields of the base have defaults
     inputs: str = ""
-    K_t: np.ndarray | None = None
-    M: np.ndarray | None = None
+    K_t: Filled[np.ndarray] = FILLED
+    M: Filled[np.ndarray] = FILLED
     a: float = 0.0
-    K_q: np.ndarray | None = None
+    K_q: Filled[np.ndarray] = FILLED
     tried: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        needs(self.map, StiffnessMap, "map")
         for name, shape in (
             ("K_s", (3, 2)),
             ("K_t", (3, 2)),
@@ -193,7 +197,7 @@ class LocalSensor(StiffnessSensor):
         }
 
 
-def sensor_from(arrays: Mapping[str, np.ndarray]) -> StiffnessSensor:
+def sensor_from(arrays: Mapping[str, Any]) -> StiffnessSensor:
     """The sensor whose `arrays` these are."""
     known = dict(arrays)
     if "K_s" not in known:
@@ -312,9 +316,9 @@ def fit_local_sensor(
                 M = table.moment_map(kind, others, RIDGES[group[0]]) if kind else None
                 X = [table.design(k, choice, M) for k in others]
                 tried = ridge_maps(X, given, tuple(RIDGES[r] for r in group))
-                X = table.design(i, choice, M)
+                own = table.design(i, choice, M)
                 for r, K in zip(group, tried, strict=True):
-                    total[choice][r] += angle_error(K[:, 0] + X @ K[:, 1:].T, directions[i])
+                    total[choice][r] += angle_error(K[:, 0] + own @ K[:, 1:].T, directions[i])
     name = min(choices, key=lambda c: total[c].min())
     sensor = _chosen(table, known, name, RIDGES[int(np.argmin(total[name]))])
     left_out = {c: float(total[c].min()) / len(latent) for c in choices}
@@ -333,12 +337,12 @@ def _chosen(table: _Table, known: StiffnessMap, name: str, ridge: float) -> Loca
     at = {"none": [], "place": [m - 2, m - 1], "all": list(range(m))}[columns]
     K_d, rest = np.zeros((3, 1 + m)), K[:, 1 + len(at) :]
     K_d[:, [0, *(1 + c for c in at)]] = K[:, : 1 + len(at)]
-    K_s, rest = (rest[:, :2], rest[:, 2:]) if with_map else (None, rest)
-    K_t, rest = (rest[:, :2], rest[:, 2:]) if moment else (None, rest)
-    a, M = moment or (0.0, None)
+    K_s, rest = (rest[:, :2], rest[:, 2:]) if with_map else (FILLED, rest)
+    K_t, rest = (rest[:, :2], rest[:, 2:]) if moment else (FILLED, rest)
+    a, M = moment or (0.0, FILLED)
     return LocalSensor(
         K_d, ridge, K_s=K_s, map=known, inputs=name, K_t=K_t, M=M, a=a,
-        K_q=rest if squared else None,
+        K_q=rest if squared else FILLED,
     )  # fmt: skip
 
 
@@ -350,9 +354,11 @@ def _measured(
     test_directions: Sequence[np.ndarray] | None,
 ) -> LocalSensor:
     """The sensor with its errors on training and held-out runs and the constant direction's."""
-    given = test_latent is not None and test_directions is not None
-    shown = (test_latent, test_directions) if given else (latent, directions)
-    truth, mean = np.concatenate(shown[1]), np.concatenate(directions).mean(axis=0)
+    held_out = None
+    if test_latent is not None and test_directions is not None:
+        held_out = (test_latent, test_directions)
+    truth = np.concatenate((held_out or (latent, directions))[1])
+    mean = np.concatenate(directions).mean(axis=0)
 
     def error(z: Sequence[np.ndarray], d: Sequence[np.ndarray]) -> float:
         return angle_error(np.concatenate([sensor.raw(part) for part in z]), np.concatenate(d))
@@ -360,7 +366,7 @@ def _measured(
     return replace(
         sensor,
         training_error=error(latent, directions),
-        held_out_error=error(*shown) if given else float("nan"),
+        held_out_error=error(*held_out) if held_out else float("nan"),
         constant_error=angle_error(np.tile(mean, (len(truth), 1)), truth),
     )
 

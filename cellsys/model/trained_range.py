@@ -84,8 +84,8 @@ class TrainedRange:
         DataError
             A model made from arrays, or written before ranges were kept.
         """
-        table = (model.notes or {}).get(_NOTE)
         try:
+            table = (model.notes or {})[_NOTE]
             inputs, latent = (np.array(table[k], dtype=float) for k in ("inputs", "latent"))
             if latent.shape != (2, model.order) or inputs.ndim != 2 or len(inputs) != 2:
                 raise ValueError
@@ -135,11 +135,12 @@ class TrainedRange:
             c[:] = given
         found = []
         labels = [*names] if len(names) == n_c else [f"c[{i}]" for i in range(n_c)]
-        for what, values, (low, high) in (
+        ranges: list[tuple[str, np.ndarray, tuple[float, float] | np.ndarray]] = [
             *((f"input {n}", c[:, i], self.inputs[:, i]) for i, n in enumerate(labels)),
             *((f"latent state z[{i}]", z[:, i], self.latent[:, i]) for i in range(z.shape[1])),
             ("time of the run", t - t[:1], (0.0, self.time)),
-        ):
+        ]
+        for what, values, (low, high) in ranges:
             reach = _SLACK * max(abs(low), abs(high))
             if not what.startswith("time"):
                 reach += self.margin * (high - low)

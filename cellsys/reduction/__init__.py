@@ -1,7 +1,7 @@
 """Reduction: bases, reductors, comparison, choice and certainty."""
 
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
-from cellsys.reduction.certainty import PoleCertainty, pole_certainty
+from cellsys.reduction.certainty import pole_certainty
 from cellsys.reduction.comparison import ComparedModel, Comparison, compare_reductors
 from cellsys.reduction.contractive import Contractive
 from cellsys.reduction.jacobian import Jacobian
@@ -18,6 +18,7 @@ from cellsys.reduction.selection import (
     select_model,
 )
 from cellsys.renamed import old_names
+from cellsys.response.certainty import PoleCertainty
 
 __getattr__ = old_names(__name__)
 

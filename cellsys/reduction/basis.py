@@ -76,7 +76,7 @@ class LatentParts:
         """Project all used samples and their successors, in one pass over the data."""
         n = data.states.size
         weight = basis.inverse_scale()[:, None] * basis.V
-        parts: list[list] = [[], [], [], []]
+        parts: list[list[np.ndarray]] = [[], [], [], []]
         for run in data.runs:
             x, eta = [], []
             for piece in data.blocks(run, np.arange(run.n_pairs + 1), basis.mean):
@@ -87,8 +87,12 @@ class LatentParts:
                 rows = np.concatenate(whole)
                 out[0].append(rows[ks])
                 out[1].append(rows[ks + 1])
+        x_now, x_next, eta_now, eta_next = (np.concatenate(p) for p in parts)
         return cls(
-            *(np.concatenate(p) for p in parts),
+            x_now,
+            x_next,
+            eta_now,
+            eta_next,
             data.run_ids,
             np.concatenate([r.usable() for r in data.runs]),
             data,
@@ -96,13 +100,25 @@ class LatentParts:
 
     def first(self, order: int) -> LatentParts:
         """The first `order` coordinates."""
-        cut = (a[:, :order] for a in (self.x_now, self.x_next, self.eta_now, self.eta_next))
-        return LatentParts(*cut, self.runs, self.samples, self.data)
+        return replace(
+            self,
+            x_now=self.x_now[:, :order],
+            x_next=self.x_next[:, :order],
+            eta_now=self.eta_now[:, :order],
+            eta_next=self.eta_next[:, :order],
+        )
 
     def where(self, rows: np.ndarray) -> LatentParts:
         """A selection of samples."""
-        names = ("x_now", "x_next", "eta_now", "eta_next", "runs", "samples")
-        return LatentParts(*(getattr(self, name)[rows] for name in names), self.data)
+        return replace(
+            self,
+            x_now=self.x_now[rows],
+            x_next=self.x_next[rows],
+            eta_now=self.eta_now[rows],
+            eta_next=self.eta_next[rows],
+            runs=self.runs[rows],
+            samples=self.samples[rows],
+        )
 
     @property
     def now(self) -> np.ndarray:

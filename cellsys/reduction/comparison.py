@@ -150,14 +150,15 @@ def compare_reductors(
     RankError
         An order beyond the data's rank.
     """
-    methods = METHODS if methods is None else tuple(methods)
-    if not methods or not len(orders):
+    tried: Sequence[Reductor] = METHODS if methods is None else tuple(methods)
+    if not tried or not len(orders):
         raise ParameterError("compare_reductors needs at least one order and one method")
     for order in orders:
         check_order(order)
     refuse_shared_runs(train, test)
-    rows, seen, block, basis_s = [], {}, "", 0.0
-    for model, method, seconds, shared_s in measured(train, test, orders, methods):
+    seen: dict[str, float] = {}
+    rows, block, basis_s = [], "", 0.0
+    for model, method, seconds, shared_s in measured(train, test, orders, tried):
         basis_s = max(basis_s, shared_s)
         held = model.card.held_out
         if not held:

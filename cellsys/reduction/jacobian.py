@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError
+from cellsys.kinds import FILLED, Filled
 from cellsys.model.latent import LatentModel
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.regression import input_map, learned_model
@@ -45,7 +46,7 @@ class Jacobian:
     """
 
     system: OdeSystem
-    at: np.ndarray | None = None
+    at: Filled[np.ndarray] = FILLED
     time: float = 0.0
     svd: ExactSVD | RandomisedSVD | None = field(default=None, kw_only=True)
 

@@ -56,18 +56,19 @@ def reduce(
     """
     if (order is None) == (tol is None):
         raise ParameterError("give either order= or tol=")
-    method = PCR() if method is None else method
-    tol = None if tol is None else real_number(tol, "tol")
-    if order is None and isinstance(method, ChoosesOrder):
-        order = method.order_for(data, float(tol))
-    elif order is None:
-        order, basis = _order_for(data, float(tol), getattr(method, "svd", None))
-    if not refits_cheaply(method):
-        return completed(method.fit(data, order, test=test, basis=basis), method, data, test)
-    basis = truncated(basis, order) or fit_basis(data, order, method=method.svd)
+    chosen: Reductor = PCR() if method is None else method
+    if order is None:
+        share = real_number(tol, "tol")
+        if isinstance(chosen, ChoosesOrder):
+            order = chosen.order_for(data, share)
+        else:
+            order, basis = _order_for(data, share, getattr(chosen, "svd", None))
+    if not refits_cheaply(chosen):
+        return completed(chosen.fit(data, order, test=test, basis=basis), chosen, data, test)
+    basis = truncated(basis, order) or fit_basis(data, order, method=chosen.svd)
     basis = basis.with_parts(data)
-    model = method.fit(data, order, test=test, basis=basis)
-    return completed(certain(model, data, method, basis), method, data, test)
+    model = chosen.fit(data, order, test=test, basis=basis)
+    return completed(certain(model, data, chosen, basis), chosen, data, test)
 
 
 def refits_cheaply(method: Reductor) -> TypeGuard[Regression]:
@@ -208,7 +209,9 @@ def sensor_of(
     if any(run.d is None or run.d.shape[1] != 1 for run in data.runs):
         return None
 
-    def samples(of: Snapshots, latents: list[np.ndarray]) -> tuple[list, list]:
+    def samples(
+        of: Snapshots, latents: list[np.ndarray]
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         kept = [run.usable() for run in of.runs]
         return (
             [z[ks, : model.order] for z, ks in zip(latents, kept, strict=True)],

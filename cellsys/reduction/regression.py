@@ -9,6 +9,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.errors import DataError, ParameterError
+from cellsys.kinds import FILLED, Filled
 from cellsys.model.latent import LatentModel
 from cellsys.reduction.basis import Basis, LatentParts
 from cellsys.samples.snapshots import Snapshots
@@ -19,8 +20,8 @@ def learned_model(
     basis: Basis,
     A: np.ndarray,
     *,
-    B: np.ndarray | None = None,
-    offset: np.ndarray | None = None,
+    B: Filled[np.ndarray] = FILLED,
+    offset: Filled[np.ndarray] = FILLED,
     input_names: tuple[str, ...] = (),
     dt: float | None = None,
     notes: Mapping[str, Any],
@@ -170,7 +171,8 @@ class StepSamples(NamedTuple):
         if not len(first):
             raise DataError(f"no run has an uninterrupted stretch of {step:g} s; lower step=")
         m = parts.now.shape[1]
-        inputs, names = np.zeros((len(parts.runs), 0)), ()
+        names: tuple[str, ...] = ()
+        inputs = np.zeros((len(parts.runs), 0))
         known, B = np.zeros((len(parts.runs), m)), np.zeros((m, 0))
         if data.command_names:
             inputs, names = data.varying_commands()

@@ -22,8 +22,8 @@ from cellsys.errors import DataError, ParameterError
 from cellsys.kinds import Seed
 from cellsys.model.latent import LatentModel
 from cellsys.reduction.basis import check_order
-from cellsys.reduction.comparison import described, measured, refuse_shared_runs
-from cellsys.reduction.reduce import reduce
+from cellsys.reduction.comparison import measured, refuse_shared_runs
+from cellsys.reduction.reduce import described, reduce
 from cellsys.samples.snapshots import Snapshots
 
 

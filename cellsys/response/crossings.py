@@ -101,14 +101,14 @@ def _brackets(loci: Loci, kind: Kind) -> tuple[np.ndarray, ...]:
     if not loci.complete:
         omega, f, clear = _dipped(loci, kind, omega, f, clear)
     rows, left, right = [], [], []
-    for m in range(len(f)):
-        at = np.flatnonzero(clear[m])
+    for row in range(len(f)):
+        at = np.flatnonzero(clear[row])
         i, j = at[:-1], at[1:]
         # Over a stretch without a sign the locus runs along the line, and passes it somewhere.
-        flip = f[m, i] * f[m, j] < 0
+        flip = f[row, i] * f[row, j] < 0
         left.append(i[flip])
         right.append(j[flip])
-        rows.append(np.full(flip.sum(), m))
+        rows.append(np.full(flip.sum(), row))
     i, j, m = np.concatenate(left), np.concatenate(right), np.concatenate(rows)
     if kind is turn and loci.complete and len(i):
         # Where the pencil has no candidate, no locus is real: a jump.

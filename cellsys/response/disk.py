@@ -37,15 +37,20 @@ def disk_margin(loci: Loci) -> tuple[float, float]:
     values = size(loci.omega)
     i = int(np.argmax(values))
     omega, peak = float(loci.omega[i]), float(values[i])
-    by_levels = M is not None and loci.fitting is not None and 2 * M.n_states <= _ROWS
-    if not by_levels:
+    by_levels = (
+        M if M is not None and loci.fitting is not None and 2 * M.n_states <= _ROWS else None
+    )
+    if by_levels is None:
         omega, peak = _climbed(size, loci.omega, values)
     for end in (0.0, top):
-        value = _largest(M.D[:, :, None])[0] if np.isinf(end) else size(np.array([end]))[0]
+        if M is not None and np.isinf(end):
+            value = _largest(M.D[:, :, None])[0]
+        else:
+            value = size(np.array([end]))[0]
         if value > peak * (1 + 1e-12):
             omega, peak = end, float(value)
-    if by_levels and 0 < peak < np.inf:
-        omega, peak = _level_sets(pencils.fitting(M), size, omega, peak)
+    if by_levels is not None and 0 < peak < np.inf:
+        omega, peak = _level_sets(pencils.fitting(by_levels), size, omega, peak)
     return (2.0 / peak if peak > 0 else np.inf), omega
 
 

@@ -259,7 +259,9 @@ def margins(sys: LinearSystem, omega: np.ndarray | None = None) -> Margins:
     )
 
 
-def _pick(phase: np.ndarray, gain: np.ndarray, loci: Loci) -> tuple[float, ...]:
+def _pick(
+    phase: np.ndarray, gain: np.ndarray, loci: Loci
+) -> tuple[float, float, float, float, float, float, float, float]:
     """Gain, phase and delay margin with their frequencies, then the gain margins up and down."""
     gm, gm_w, up, down = np.inf, np.nan, np.inf, 0.0
     if len(phase):

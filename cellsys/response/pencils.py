@@ -66,8 +66,8 @@ def _copies(L: PencilBlock, left: bool, mirrored: bool) -> PencilBlock:
     if len(L.D) == 1:
         return PencilBlock(*parts, mirrored)
     I = np.eye(len(L.D))  # noqa: E741
-    made = (np.kron(M, I) if left else np.kron(I, M) for M in parts)
-    return PencilBlock(*made, mirrored)
+    A, B, C, D = (np.kron(M, I) if left else np.kron(I, M) for M in parts)
+    return PencilBlock(A, B, C, D, mirrored)
 
 
 def _rows(block: PencilBlock, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -114,7 +114,8 @@ def _jumps(
         return more
     part = replace(
         system.dense(), B=system.B[:, j : j + 1], C=system.C[i : i + 1],
-        D=system.D[i : i + 1, j : j + 1], inputs=None, outputs=None,
+        D=system.D[i : i + 1, j : j + 1], inputs=system.inputs[j : j + 1],
+        outputs=system.outputs[i : i + 1],
     )  # fmt: skip
     poles, zeros = np.linalg.eigvals(part.A), zero_values(part)[0]
     lo, hi = omega[where, None] * (1 - _SHARP), omega[where + 1, None] * (1 + _SHARP)

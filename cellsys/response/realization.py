@@ -20,10 +20,10 @@ from scipy.linalg import lapack
 from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem, StateSpaceLike, TransferFunctionLike
 from cellsys.errors import DataError, DimensionError, MemoryBudgetError, ParameterError
-from cellsys.kinds import Takes
+from cellsys.kinds import FILLED, Filled, Takes
 from cellsys.state_space import state_space
 from cellsys.store.memory import size_text
-from cellsys.system import Matrix
+from cellsys.system import Matrix, is_sparse
 from cellsys.units import real_array, real_number
 
 DENSE_LIMIT = 4000  # states; a dense complex matrix of this size takes 256 MB
@@ -41,7 +41,7 @@ def _names(given: Sequence[str] | None, count: int, letter: str, what: str) -> t
 
 
 def _dense(value: Any, name: str) -> np.ndarray:
-    array = real_array(value.toarray() if sp.issparse(value) else value, name)
+    array = real_array(value.toarray() if is_sparse(value) else value, name)
     array = np.atleast_2d(array.copy())
     if array.ndim != 2:
         raise DimensionError(f"{name} must be a matrix, got shape {array.shape}")
@@ -87,17 +87,17 @@ class Realization:
     """
 
     A: Annotated[Any, Takes(Matrix)]
-    B: np.ndarray | None = None
-    C: np.ndarray | None = None
-    D: np.ndarray | None = None
+    B: Filled[np.ndarray] = FILLED
+    C: Filled[np.ndarray] = FILLED
+    D: Filled[np.ndarray] = FILLED
     dt: float = 0.0
-    states: tuple[str, ...] | None = None
-    inputs: tuple[str, ...] | None = None
-    outputs: tuple[str, ...] | None = None
+    states: Filled[tuple[str, ...]] = FILLED
+    inputs: Filled[tuple[str, ...]] = FILLED
+    outputs: Filled[tuple[str, ...]] = FILLED
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        if sp.issparse(self.A):
+        if is_sparse(self.A):
             put(self, "A", sp.csc_array(self.A, dtype=float))
             _finite(self.A.data, "A.data")
         else:
@@ -251,11 +251,12 @@ def realization(sys: LinearSystem) -> Realization:
     if isinstance(sys, tuple):
         if len(sys) not in (4, 5):
             raise ParameterError(f"a tuple must be (A, B, C, D[, dt]), got {len(sys)} entries")
-        return Realization(*sys[:4], dt=_sampling(sys[4]) if len(sys) == 5 else 0.0)
-    if isinstance(sys, (np.ndarray, list)) or sp.issparse(sys):
+        A, B, C, D = sys[:4]
+        return Realization(A, B, C, D, _sampling(sys[4]) if len(sys) == 5 else 0.0)
+    if isinstance(sys, (np.ndarray, list, sp.sparray, sp.spmatrix)):
         return Realization(sys)
     if isinstance(sys, StateSpaceLike):
-        labels = [getattr(sys, f"{kind}_labels", None) for kind in ("state", "input", "output")]
+        labels = [getattr(sys, f"{kind}_labels", FILLED) for kind in ("state", "input", "output")]
         return Realization(sys.A, sys.B, sys.C, sys.D, _sampling(sys.dt), *labels)
     return _from_transfer_function(sys)
 
@@ -265,10 +266,10 @@ def _from_transfer_function(sys: TransferFunctionLike) -> Realization:
     if isinstance(sys, _Channels):
         channels = sys.noutputs * sys.ninputs
         over, under = (sys.num[0][0], sys.den[0][0]) if channels == 1 else (0.0, 1.0)
-        names = (sys.input_labels, sys.output_labels)
+        names = (tuple(sys.input_labels), tuple(sys.output_labels))
     else:  # scipy.signal: one row of coefficients per output
         rows = np.atleast_2d(real_array(sys.num, "num"))
-        channels, over, under, names = len(rows), rows[0], sys.den, (None, None)
+        channels, over, under, names = len(rows), rows[0], sys.den, (FILLED, FILLED)
     if channels != 1:
         raise ParameterError(
             "a transfer function with several channels has no unique state space: realise it "
@@ -291,7 +292,7 @@ def _from_transfer_function(sys: TransferFunctionLike) -> Realization:
     A[:1] = -den[1:]
     B = np.eye(n, 1)
     C = (num[1:] - num[0] * den[1:])[None, :]
-    return Realization(A, B, C, [[num[0]]], _sampling(sys.dt), None, *names)
+    return Realization(A, B, C, num[:1, None], _sampling(sys.dt), FILLED, *names)
 
 
 def same_time(first: Realization, second: Realization) -> float:

@@ -83,8 +83,9 @@ def sensitivity(sys: LinearSystem, omega: np.ndarray | None = None) -> Sensitivi
         raise ParameterError("I + D is singular: the loop is algebraic and has no solution")
     K = sla.solve(F, np.hstack([L.C, np.eye(m)])) if m else np.zeros((0, L.n_states))
     C, E = K[:, : L.n_states], K[:, L.n_states :]
-    names = {"inputs": L.outputs, "outputs": L.outputs}
-    S = replace(L, A=L.A - L.B @ C, B=L.B @ E, C=-C, D=E, **names)
+    S = replace(
+        L, A=L.A - L.B @ C, B=L.B @ E, C=-C, D=E, inputs=L.outputs, outputs=L.outputs
+    )
     T = replace(S, C=C, D=np.eye(m) - E)
     response = frequency_response(S, omega)
     return Sensitivity(

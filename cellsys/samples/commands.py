@@ -86,7 +86,8 @@ def recorded_commands(
     """
     if any(r.p is None for r in runs):
         return [], ()
-    tables, names = [], ()
+    tables: list[np.ndarray] = []
+    names: tuple[str, ...] = ()
     for run in runs:
         table, names = command_features(
             np.asarray(run.p), None if run.amplitude is None else np.asarray(run.amplitude)

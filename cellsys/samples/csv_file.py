@@ -68,14 +68,14 @@ def read_csv(path: Path) -> Table:
         for column, number in enumerate(numbers):
             if number is None or not math.isfinite(number):
                 _refuse(path, row, column, names)
-        values[k] = numbers  # type: ignore[call-overload]
+        values[k] = numbers
     if len(rows) < 3:
         raise FileFormatError(
             f"{path.name} has {len(rows)} rows of numbers; three are the least that can be learned "
             "from"
         )
     times = {} if names is None else _time_columns(names, path)
-    if len(times) > 1:
+    if names is not None and len(times) > 1:
         raise FileFormatError(
             f"{path.name} has several columns of time: {', '.join(names[k] for k in times)}; "
             "leave one"

@@ -178,10 +178,10 @@ def cgroup_room(process: Path = _PROC) -> list[Room]:
         mounts = (process / "mountinfo").read_text("utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
         return []
-    found = []
+    found: list[Room] = []
     for mount in mounts:
-        fields, _, tail = mount.partition(" - ")
-        fields, tail = fields.split(), tail.split()
+        first, _, rest = mount.partition(" - ")
+        fields, tail = first.split(), rest.split()
         if len(fields) < 5 or len(tail) < 3:
             continue
         root, point = (_plain(fields[k]) for k in (3, 4))

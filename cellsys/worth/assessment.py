@@ -73,14 +73,15 @@ def predict_samples(
     z is interpolated linearly.
     """
     t = dt * np.arange(samples)
-    every = 1 if model.dt is None else round(model.dt / dt)
-    if samples < 2 or every <= 1 or abs(every * dt - model.dt) > 1e-9 * model.dt:
+    own = model.dt
+    every = 1 if own is None else round(own / dt)
+    if samples < 2 or own is None or every <= 1 or abs(every * dt - own) > 1e-9 * own:
         return model.predict(z0, commands, t)
     starts = np.arange(0, samples - 1, every)
     if commands is not None:
         counts = np.diff(np.append(starts, samples - 1))
         commands = np.add.reduceat(commands, starts, axis=0) / counts[:, None]
-    z = model.predict(z0, commands, model.dt * np.arange(len(starts) + 1))
+    z = model.predict(z0, commands, own * np.arange(len(starts) + 1))
     k, share = np.divmod(np.arange(samples), every)
     ahead = np.minimum(k + 1, len(starts))
     return z[k] + (share / every)[:, None] * (z[ahead] - z[k])
@@ -202,8 +203,9 @@ class Encoded:
 
     runs: list[np.ndarray]
     training: Snapshots
-    read: dict = field(default_factory=dict, repr=False)
-    kept: dict = field(default_factory=dict, repr=False)
+    read: dict[tuple[int, int], np.ndarray] = field(default_factory=dict, repr=False)
+    kept: dict[int, dict[str, dict[str, float]]] = field(default_factory=dict, repr=False)
+    floors: dict[tuple[int, int], dict[str, float]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, model: ReducedModel, data: Snapshots, training: Snapshots) -> Encoded:
@@ -233,9 +235,9 @@ class Encoded:
             self.kept[i] = baselines(run, rows, motion)
             more = command_baselines(self.training, run, rows, self.read)
             self.kept[i] = {k: v | more.get(k, {}) for k, v in self.kept[i].items()}
-        if (i, model.order) not in self.kept:
-            self.kept[i, model.order] = floors(model, data.runs[i], rows, self.runs[i])
-        floor = self.kept[i, model.order]
+        if (i, model.order) not in self.floors:
+            self.floors[i, model.order] = floors(model, data.runs[i], rows, self.runs[i])
+        floor = self.floors[i, model.order]
         return {name: {"floor": floor[name], **self.kept[i][name]} for name in rows}
 
 
@@ -278,8 +280,8 @@ def assess(
     RepresentationError
         A model that reconstructs other things than the states of the data.
     """
-    training: dict = {}
-    held_out: dict = {}
+    training: dict[str, dict[str, float]] = {}
+    held_out: dict[str, dict[str, float]] = {}
     repeated = [] if test is None else repeated_runs(test, data)
     if position_rows(data) and _has_coordinates(model, data):
         encoded = encode_all(model, data, test) if encoded is None else encoded

@@ -60,7 +60,7 @@ def _norm2(M: np.ndarray) -> float:
     if scale == 0:
         return 0.0
     N = M / scale
-    v = np.random.default_rng(0).standard_normal(N.shape[1])
+    v = np.random.default_rng(0).standard_normal((N.shape[1],))
     size = 0.0
     for _ in range(60):
         v /= np.linalg.norm(v)

@@ -98,14 +98,14 @@ class Resolvent:
             part = slice(lo, lo + step)
             route = self._route(len(s))
             G[:, :, part], right, left = route(s[part], accuracy)
-            if accuracy:
+            if bound is not None:
                 with np.errstate(invalid="ignore", over="ignore"):
                     size = (self.norm + np.abs(s[part])) * left[:, None] * right[None]
                     size += self._rows_norm[:, None, None] * right[None]
                     size += left[:, None] * self._columns_norm[None, :, None]
                     bound[:, :, part] = self.backward * size / self._scale[:, :, None]
         D = self.system.D[:, :, None]
-        if accuracy:
+        if bound is not None:
             # A product inf * 0 (a pole nobody sees) says nothing: no bound.
             bound = np.where(np.isnan(bound), np.inf, bound)
             bound += EPS * (np.abs(D) + 4 * np.abs(G))
@@ -133,12 +133,14 @@ class Resolvent:
 
     def _dense(self, s: np.ndarray, accuracy: bool) -> tuple[np.ndarray, Any, Any]:
         b, scale = self._b, self._scale[:, :, None]
+        right: np.ndarray | None = None
+        left: np.ndarray | None = None
         if self._form is not None:
             G, right, left = triangular.response(self._form, s)
             return _divide(G, scale), right, left
         p, m = scale.shape[:2]
         by_columns = m <= p
-        G, right, left = np.empty((p, m, len(s)), complex), None, None
+        G = np.empty((p, m, len(s)), complex)
         if by_columns or accuracy:
             if self._columns is None:
                 self._columns = [hessenberg.controller_hessenberg(b.A, c, b.C) for c in b.B.T]
