@@ -216,10 +216,13 @@ def test_every_extra_is_used():
         for folder in ("cellsys", "tests", "analysis")
         for path in (ROOT / folder).rglob("*.py")
     ) + (ROOT / ".ci" / "run").read_text("utf-8")
-    names = {"pytest-xdist": "-n 2", "dask[distributed]": "importorskip(\"distributed\")"}
+    names = {
+        "pytest-xdist": "-n 2", "dask[distributed]": "importorskip(\"distributed\")",
+        "mypy": "python .ci/types", "scipy-stubs": "python .ci/types",  # it reads the stubs
+    }  # fmt: skip
     for extra, wanted in project["optional-dependencies"].items():
         for requirement in wanted:
-            package = requirement.split(">=")[0]
+            package = re.split("[=><]", requirement)[0]
             asked = names.get(package, rf"(import {package}\b|from {package}\b|-m {package}\b|"
                               rf"bin/{package}\b|importorskip\(\"{package}[\".])")  # fmt: skip
             assert re.search(asked if package not in names else re.escape(asked), text), extra
