@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 # What a clock, a path or the version says: equal only by chance.
-FREE = ("seconds", "wall_time", "_s_spent", "ms", "version", "out", "time_table", "key", "speedup")
+FREE = ("seconds", "wall_time_s", "full_order_s", "ms", "version", "out", "key")
 
 
 def leaves(value: object, place: str = "") -> Iterator[tuple[str, object]]:
