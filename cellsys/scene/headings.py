@@ -69,7 +69,7 @@ def turning(
     for k, root in enumerate(np.random.SeedSequence([seed, int(loaded)]).spawn(n)):
         rng = np.random.default_rng(root)
         cells = []
-        for cell in scene.cells:
+        for cell in scene.membranes:
             commands = _turning(scene.training.duration, rng)
             angle = commands.heading.values[0]
             place = tuple(float(x) for x in cell.position + rng.uniform(-scatter, scatter, 2))
@@ -90,7 +90,9 @@ def commanded(scene: S, commands: Commands, angle: float | None, name: str) -> S
     plan: Training = scene.training
     cells = scene.cells
     if angle is not None:
-        cells = tuple(dataclasses.replace(c, polarity=angle, commands=None) for c in cells)
+        cells = tuple(
+            dataclasses.replace(c, polarity=angle, commands=None) for c in scene.membranes
+        )
     return dataclasses.replace(
         scene,
         name=name,

@@ -19,17 +19,53 @@ Cell = CellScene | Crawler
 class ScenePlan(Protocol):
     """A scene, made by cs.load_scene(path) or cs.Scene.parse(table)."""
 
-    name: str
-    duration: float
-    sample: float
-    effects: Mapping[str, Effect]
-    cells: tuple[CellScene, ...] | tuple[Crawler, ...]
-    matrix: Kind | None
-    commands: Commands
-    training: Training
-    seed: int
-    step: float
-    until: str | None
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+
+    @property
+    def duration(self) -> float:
+        """s."""
+
+    @property
+    def sample(self) -> float:
+        """Time between samples, s."""
+
+    @property
+    def effects(self) -> Mapping[str, Effect]:
+        """Effects that act, by name."""
+
+    @property
+    def cells(self) -> tuple[CellScene, ...] | tuple[Crawler, ...]:
+        """Cells with a membrane, or crawlers."""
+
+    @property
+    def matrix(self) -> Kind | None:
+        """The matrix, if there is one."""
+
+    @property
+    def commands(self) -> Commands:
+        """What is prescribed to every cell without commands of its own."""
+
+    @property
+    def training(self) -> Training:
+        """Runs that a reduced model is learned from."""
+
+    @property
+    def seed(self) -> int:
+        """Of what is drawn."""
+
+    @property
+    def step(self) -> float:
+        """Of a stepping integrator, s."""
+
+    @property
+    def until(self) -> str | None:
+        """What ends the run before its time: "contact"."""
+
+    @property
+    def membranes(self) -> tuple[CellScene, ...]:
+        """Its cells, which have a membrane; SceneError for crawlers."""
 
     @property
     def times(self) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -75,7 +76,7 @@ class Plane:
         matrix = self.network(scene.seed)
         effects = {n: e for n, e in _ordered(scene.effects) if e.acts_on != "cell"}
         cells = []
-        for k, cell in enumerate(scene.cells, start=1):
+        for k, cell in enumerate(scene.membranes, start=1):
             height = cell.radius + START_GAP
             body = CellBody(
                 f"cell{k}",
@@ -89,7 +90,7 @@ class Plane:
 
     def place_cells(self, scene: ScenePlan) -> None:
         """Refuse cells that are too small or large, reach outside, or overlap."""
-        for i, cell in enumerate(scene.cells):
+        for i, cell in enumerate(scene.membranes):
             if not _RADIUS[0] <= cell.radius <= _RADIUS[1]:
                 raise SceneError(
                     f"cells[{i}].radius must be > 0 um, in [{_RADIUS[0]:g}, {_RADIUS[1]:g}] um, "
@@ -98,7 +99,7 @@ class Plane:
             why = self.outside(cell)
             if why is not None:
                 raise SceneError(f"cells[{i}] {why}")
-        _check_overlaps(scene.cells)
+        _check_overlaps(scene.membranes)
 
     def start_elsewhere(self, scene: ScenePlan, rng: np.random.Generator) -> tuple[CellScene, ...]:
         """Every cell with a drawn heading, all of them together up to `SCATTER` um away."""
@@ -109,7 +110,7 @@ class Plane:
                 polarity=float(rng.uniform(-np.pi, np.pi)),
                 position=tuple(float(x) for x in np.asarray(c.position) + shift),
             )
-            for c in scene.cells
+            for c in scene.membranes
         )
 
     def train(self, scene: S) -> tuple[list[S], list[S]]:
@@ -149,7 +150,7 @@ class Plane:
             raise SceneError(
                 "effects.drag is missing: without drag nothing has a rate; add drag = {}"
             )
-        for effects in (scene.effects, *(c.effects for c in scene.cells)):
+        for effects in (scene.effects, *(c.effects for c in scene.membranes)):
             for name, effect in effects.items():
                 if self.kind in effect.not_on:
                     raise SceneError(
@@ -157,7 +158,7 @@ class Plane:
                         f"{effect.not_on[self.kind]}"
                     )
         on_matrix = scene.matrix is not None
-        check_effects(scene.effects, [c.effects for c in scene.cells], on_matrix)
+        check_effects(scene.effects, [c.effects for c in scene.membranes], on_matrix)
         told = scene.commands.heading or scene.commands.amplitude
         if told and "lamellipodium" not in scene.effects:
             raise SceneError(
@@ -187,7 +188,7 @@ class FreeMembranes(Plane):
 NO_MATRIX = FreeMembranes()
 
 
-def _ordered(effects: dict[str, Effect]) -> list[tuple[str, Effect]]:
+def _ordered(effects: Mapping[str, Effect]) -> list[tuple[str, Effect]]:
     """Effects in the registry's order, so that one scene has one layout of x and eta.
 
     A scene read back from a run folder names its effects in another order than its file did.

@@ -125,6 +125,14 @@ class Scene:
         return NO_MATRIX if self.matrix is None else self.matrix
 
     @property
+    def membranes(self) -> tuple[CellScene, ...]:
+        """The cells, each with a membrane; SceneError where there are crawlers."""
+        found = tuple(cell for cell in self.cells if isinstance(cell, CellScene))
+        if len(found) < len(self.cells):
+            raise SceneError("this takes cells with a membrane, and the scene has crawlers")
+        return found
+
+    @property
     def times(self) -> np.ndarray:
         """Sample times, s: 0, sample, ..., duration."""
         return np.linspace(0.0, self.duration, intervals(self.duration, self.sample) + 1)

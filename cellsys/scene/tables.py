@@ -6,7 +6,7 @@ import dataclasses
 import difflib
 from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, create_model
 
@@ -36,12 +36,20 @@ def amount(unit: str) -> Any:
     ]
 
 
-_Length, Time, Angle, _Number = amount("um"), amount("s"), amount("rad"), amount("1")
+if TYPE_CHECKING:
+    _Length: TypeAlias = float
+    Time: TypeAlias = float
+    Angle: TypeAlias = float
+    _Number: TypeAlias = float
+    _Modulus: TypeAlias = float
+    _PerLength: TypeAlias = float
+else:  # what a type checker cannot look into: the unit is told by a call
+    _Length, Time, Angle, _Number = amount("um"), amount("s"), amount("rad"), amount("1")
+    _Modulus, _PerLength = amount("pN/um^2"), amount("1/um")
 Sample = Annotated[
     Time,
     Field(description="number with unit, such as '1 s', between samples; divides the duration"),
 ]
-_Modulus, _PerLength = amount("pN/um^2"), amount("1/um")
 # bool is an int to Python; a count must not be one.
 Count = Annotated[int, Field(strict=True)]
 

@@ -48,7 +48,7 @@ def measured_floors(
 
 
 def _moved(scene: Scene, shift: tuple[float, float], turn: float) -> Scene:
-    (cell,) = scene.cells
+    (cell,) = scene.membranes
     place = (cell.position[0] + shift[0], cell.position[1] + shift[1])
     polarity = cell.polarity + turn
     return dataclasses.replace(

@@ -133,9 +133,9 @@ def reduced_cells(
     """
     copied = check_model(scene, model)
     marks = np.arange(0, len(run), run.stride(copied.dt))
-    places = np.array([c.position for c in scene.cells])
-    headings = np.array([c.polarity for c in scene.cells])
-    commanded = any(_commands(scene, c).heading for c in scene.cells)
+    places = np.array([c.position for c in scene.membranes])
+    headings = np.array([c.polarity for c in scene.membranes])
+    commanded = any(_commands(scene, c).heading for c in scene.membranes)
     steered = "polarity" in scene.effects and not commanded
     polarity, sensing = scene.find(Polarity), scene.find(StiffnessSensing)
     law = PolarityLaw(kappa=polarity.kappa) if steered and polarity is not None else None
@@ -159,7 +159,7 @@ def _commands(scene: Scene, cell: CellScene) -> Commands:
 def _followed(scene: Scene, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Amplitude and heading (steps, K): means of the commands over the steps."""
     columns = []
-    for cell in scene.cells:
+    for cell in scene.membranes:
         told = _commands(scene, cell)
         for history, default in ((told.amplitude, 1.0), (told.heading, cell.polarity)):
             held = np.full(len(t) - 1, default)

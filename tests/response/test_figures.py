@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import control as ct
 import matplotlib
@@ -113,3 +115,10 @@ def test_norms_draw_the_singular_values(norm):
     # No drawn singular value lies above the H-infinity norm, and its peak is on the grid.
     assert heights.max() <= 20 * np.log10(float(response.hinf_norm(system))) + 1e-6
     assert len(ax.lines) == (2 if norm is response.hinf_norm else 1)
+
+
+def test_the_stub_lists_what_the_package_hands_out():
+    """Type checkers read the stub, Python the list of lazy_loader."""
+    stub = ast.parse(Path(figures.__file__).with_suffix(".pyi").read_text("utf-8"))
+    listed = [a.name for n in stub.body if isinstance(n, ast.ImportFrom) for a in n.names]
+    assert sorted(listed) == sorted(figures.__all__)

@@ -13,7 +13,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,6 +24,9 @@ from cellsys.mechanics.geometry.disc import Disc
 from cellsys.mechanics.geometry.membrane import Membrane
 from cellsys.system import Block, Event
 from cellsys.units import quantity
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 E = TypeVar("E", bound="Effect")
 
@@ -58,7 +61,7 @@ def parameter(
     )
 
 
-def check_parameters(effect: Effect) -> None:
+def check_parameters(effect: DataclassInstance) -> None:
     """Compare every field with its bounds; ParameterError names the value and the bound."""
     owner = getattr(effect, "name", type(effect).__name__)
     for item in dataclasses.fields(effect):
