@@ -64,7 +64,7 @@ def solve_hybrid(
 
 
 class _Run:
-    def __init__(self, system, t, x0, start, name, max_steps, cascade, averages) -> None:  # type: ignore[no-untyped-def]
+    def __init__(self, system, t, x0, start, name, max_steps, cascade, averages) -> None:
         self.system, self.times, self.start = system, t, start
         self.name, self.max_steps, self.cascade = name, max_steps, cascade
         self.guards: tuple[EventFunction, ...] = tuple(system.events())

@@ -122,7 +122,7 @@ def _lu(matrix: sp.csc_array) -> Callable[[np.ndarray], np.ndarray]:
 class _ImplicitStepper(Stepper):
     system: OverdampedSystem
 
-    def __init__(self, method, system, t0, x0, rng) -> None:  # type: ignore[no-untyped-def]
+    def __init__(self, method, system, t0, x0, rng) -> None:
         super().__init__(system, t0, x0, rng, method.step)
         self.method = method
         self.drag = system.drag()

@@ -101,7 +101,7 @@ def coefficients(s: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 class _ChebyshevStepper(Stepper):
-    def __init__(self, method, system, t0, x0, rng) -> None:  # type: ignore[no-untyped-def]
+    def __init__(self, method, system, t0, x0, rng) -> None:
         super().__init__(system, t0, x0, rng, 0.0)
         self.method, self.h = method, 0.0
         self.vector = rng.spawn(1)[0].standard_normal(x0.size)

@@ -99,7 +99,7 @@ class Semilinear:
             (self.rate(y + dy, o) - r) / step,
             (self.rate(y, o + do) - r) / step,
         )
-        return tuple(np.moveaxis(part, 0, -1) for part in parts)  # type: ignore[return-value]
+        return tuple(np.moveaxis(part, 0, -1) for part in parts)
 
     @cached_property
     def inputs(self) -> np.ndarray:
