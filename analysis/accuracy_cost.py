@@ -142,9 +142,7 @@ def budgets(page, quick, out):
         if not found:
             rows.append([f"{error:g}", str(found), "", "", "", ""])
             continue
-        short, long = (
-            scene_problems(scene, 1, times, 1000 + seed, 1)[0] for times in (t, later)
-        )
+        short, long = (scene_problems(scene, 1, times, 1000 + seed, 1)[0] for times in (t, later))
         truth, ours = full_order_references(short, error)[0], full_order_setups(short)
         check = check_budget(found, short, ours, truth)
         run = cs.simulate(long.system, found.integrator, long.t, auxiliaries=False).x

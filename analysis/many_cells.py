@@ -126,8 +126,7 @@ def misses(found: cs.Trajectory, truth: cs.Trajectory) -> str:
 def shifted(scene: cs.Scene) -> cs.Scene:
     """Every cell 5 nm to the side."""
     cells = [
-        dataclasses.replace(c, position=(c.position[0] + SHIFT, c.position[1]))
-        for c in scene.cells
+        dataclasses.replace(c, position=(c.position[0] + SHIFT, c.position[1])) for c in scene.cells
     ]
     return dataclasses.replace(scene, name=f"{scene.name}, shifted", cells=tuple(cells))
 

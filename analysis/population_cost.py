@@ -50,8 +50,6 @@ def shortest(call, times: int) -> tuple[float, float]:
     return min(wall), min(processor)
 
 
-
-
 def independent_of_K(m: int) -> None:
     P_map = -0.1 * np.eye(m)
     for form in (cs.Superposition(), cs.MappedSuperposition(P_map=P_map), cs.Feedback()):

@@ -130,8 +130,10 @@ def row(n: int, m: int, p: int) -> dict[str, float]:
     ours = response.frequency_response(plant, few)
     error = float((np.abs(ours.response - truth) / np.abs(truth)).max())
     bound = float(ours.accuracy.max())
-    print(f"n = {n:4d}, {p} x {m}: ours {bare:.4f} s, with bounds {full:.4f} s, "
-          f"error {error:.0e} (bound {bound:.0e})")
+    print(
+        f"n = {n:4d}, {p} x {m}: ours {bare:.4f} s, with bounds {full:.4f} s, "
+        f"error {error:.0e} (bound {bound:.0e})"
+    )
     ratios = {}
     for name, run in peers(A, B, C, D).items():
         wrong = worst(run, few, truth)
@@ -150,8 +152,10 @@ def row(n: int, m: int, p: int) -> dict[str, float]:
         failed = not wrong < max(WRONG, FACTOR * error)
         if not failed:
             ratios[name] = seconds / bare
-        print(f"    {name:15s} {mark}{seconds:9.4f} s  {seconds / bare:8.1f} x ours "
-              f"({seconds / full:.1f} x with bounds)  error {wrong:.0e}{'  !!' if failed else ''}")
+        print(
+            f"    {name:15s} {mark}{seconds:9.4f} s  {seconds / bare:8.1f} x ours "
+            f"({seconds / full:.1f} x with bounds)  error {wrong:.0e}{'  !!' if failed else ''}"
+        )
     return ratios
 
 
@@ -164,8 +168,10 @@ def lags() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         theirs = ct.margin(plant)
-    print(f"100 lags: gain margin {truth:.6f}; ours {ours.gain_margin:.6f} and phase margin "
-          f"{ours.phase_margin}; control.margin {theirs[0]:.6f} and {theirs[1]:.1f} deg")
+    print(
+        f"100 lags: gain margin {truth:.6f}; ours {ours.gain_margin:.6f} and phase margin "
+        f"{ours.phase_margin}; control.margin {theirs[0]:.6f} and {theirs[1]:.1f} deg"
+    )
 
 
 def main(quick: bool) -> None:

@@ -152,9 +152,7 @@ def main(quick: bool = False, out: str | None = None) -> None:
         test = cs.snapshots(ran[len(train) : len(train) + len(held)])
         model = cs.reduce(data, order=order, method=method, test=test)
         inputs(name, model, data, test)
-        misses = [
-            one_loop(model, scene, run) for run in ran[len(train) + len(held) : -1]
-        ]
+        misses = [one_loop(model, scene, run) for run in ran[len(train) + len(held) : -1]]
         worst = ", ".join(f"{s:g} deg: {rms(m):.1f}" for s, m in zip(STARTS, misses, strict=False))
         print(f"  polarity loop, heading error against the full-order loop, deg rms: {worst}")
         curves[name] = misses

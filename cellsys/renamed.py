@@ -49,9 +49,7 @@ MODULES: Mapping[str, str] = {
 }
 
 
-def old_names(
-    module: str, otherwise: Callable[[str], Any] | None = None
-) -> Callable[[str], Any]:
+def old_names(module: str, otherwise: Callable[[str], Any] | None = None) -> Callable[[str], Any]:
     """``__getattr__`` of a module that once had other names.
 
     Parameters

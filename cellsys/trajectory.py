@@ -60,9 +60,7 @@ class ErrorEstimate(Shown):
         """Largest absolute error of each state block."""
         if self.absolute is None:
             return {}
-        return {
-            b.name: float(self.absolute[states.slice(b.name)].max(initial=0.0)) for b in states
-        }
+        return {b.name: float(self.absolute[states.slice(b.name)].max(initial=0.0)) for b in states}
 
     def __str__(self) -> str:
         if self.absolute is None:

@@ -1,6 +1,6 @@
 """The 1-D crawling cell of thesis chapter 3: one cell, a soft chain, two cells that meet.
 
-    python examples/crawler.py [--quick] [--out DIR]
+python examples/crawler.py [--quick] [--out DIR]
 """
 
 from __future__ import annotations

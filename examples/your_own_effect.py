@@ -11,6 +11,7 @@ from cellsys.mechanics.effects import Effect, Element, Port, Stiffness, paramete
 @dataclass(frozen=True)
 class Tweezers(Effect):
     """E = k/2 |mean of the nodes - (x, start, start)|^2."""
+
     name = "tweezers"
     stiffness: float = parameter("50 pN/um", "pN/um", least=0, source="a trap", about="k")
     x: float = parameter("3 um", "um", source="a trap", about="where it is held along x")

@@ -39,8 +39,7 @@ def public() -> dict[str, object]:
     return {
         name: item
         for name, item in sorted(found.items())
-        if callable(item)
-        and not (isinstance(item, type) and issubclass(item, BaseException))
+        if callable(item) and not (isinstance(item, type) and issubclass(item, BaseException))
     }
 
 

@@ -1,6 +1,5 @@
 """Naive versions that must be seen to fail: the tests assert that they do."""
 
-
 import control
 import numpy as np
 import scipy.linalg as sla

@@ -71,9 +71,7 @@ def test_wrong_kinds_are_refused_by_name(name, tmp_path, monkeypatch):
                 continue
             found = said(item, arguments, p.name, WRONG[label])
             free = (name, p.name) in ANYTHING or (label == "None" and takes_none(known[p.name]))
-            if found.startswith("raw") or (
-                label in FOREIGN and found != "named" and not free
-            ):
+            if found.startswith("raw") or (label in FOREIGN and found != "named" and not free):
                 wrong.append(f"{p.name} = {label}: {found}")
     assert not wrong, "\n".join(wrong)
 

@@ -111,15 +111,13 @@ def data_of(
             RunData(x, values, skip=run.event_rows if events == "skip" else (), eta_start=first)
         )
     n = states.size
-    return Snapshots(
-        tuple(data), states, auxiliaries, dt, sp.csr_array((n, n)), W, (), scale, {}
-    )
+    return Snapshots(tuple(data), states, auxiliaries, dt, sp.csr_array((n, n)), W, (), scale, {})
 
 
 def jump_aware(data: Snapshots, order: int) -> LatentModel:
     """Eq. 24 with the rows of the states that jump learned from data instead of taken from W.
 
-        A = V_c^T S_c^-1 W_c S V + V_s^T S_s^-1 K_s + V_eta^T S_eta^-1 K
+    A = V_c^T S_c^-1 W_c S V + V_s^T S_s^-1 K_s + V_eta^T S_eta^-1 K
     """
     base = PCR().fit(data, order)
     n, V = data.states.size, base.V

@@ -106,16 +106,12 @@ def main(quick: bool = False, out: str | None = None) -> dict[str, np.ndarray]:
         augmented, x_only = PCR().fit(data, 4), LeastSquares().fit(plain, 2)
         errors[names[0]].append(error_of(lambda r: np.array([P @ r.x[0] for P in powers]), test))
         errors[names[1]].append(
-            error_of(
-                lambda r, m=x_only: m.reconstruct(m.predict(m.encode(r.x[0]), None, t)), test
-            )
+            error_of(lambda r, m=x_only: m.reconstruct(m.predict(m.encode(r.x[0]), None, t)), test)
         )
         exact = chain_rule_model(system, train)
         errors[names[2]].append(
             error_of(
-                lambda r, m=exact: m.reconstruct(
-                    m.predict(m.encode(r.x[0], r.eta_start), None, t)
-                ),
+                lambda r, m=exact: m.reconstruct(m.predict(m.encode(r.x[0], r.eta_start), None, t)),
                 test,
             )
         )

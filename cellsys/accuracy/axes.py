@@ -207,10 +207,7 @@ def kinetics_cost(
             runs.append(simulate(system, method, t, auxiliaries=False, seed=scene.seed))
             seconds.append(time.perf_counter() - began)
         a, b = runs
-        errors = {
-            f"5 nm: {name}": _other_motion(b.block(name), a.block(name))
-            for name in MOVING
-        }
+        errors = {f"5 nm: {name}": _other_motion(b.block(name), a.block(name)) for name in MOVING}
         rows.append(CostRow(kind, min(seconds), errors))
     return CostAxis(f"adhesion kinetics, {t[-1] - t[0]:g} s", tuple(rows))
 

@@ -298,9 +298,7 @@ def _strokes(graph: JunctionGraph, causality: Causality) -> dict[str, bool]:
                 continue
             # The one bond that imposes the common variable on the junction.
             setters = [
-                b
-                for b, s in bonds
-                if b in tail and ((tail[b] == (s > 0)) == (strong == EFFORT))
+                b for b, s in bonds if b in tail and ((tail[b] == (s > 0)) == (strong == EFFORT))
             ]
             if setters:
                 for b, s in open_bonds:

@@ -53,9 +53,7 @@ class SolutionSet:
 
     def free(self) -> list[int]:
         """Free variables that are not fixed: determined by nothing so far."""
-        return [
-            k for k in range(self.size) if k not in self.rows and not self._is_fixed[k]
-        ]
+        return [k for k in range(self.size) if k not in self.rows and not self._is_fixed[k]]
 
     def relate(self, coefficients: Mapping[int, Number]) -> bool:
         """Add sum of coefficient x variable = 0; False when it follows from what is there."""

@@ -135,8 +135,7 @@ def derive(graph: JunctionGraph, *, literal: bool = False) -> Equations:
     """Causality, elimination and assembly; see `BondGraph.equations`."""
     structure = build(graph, assign(graph), literal=literal)
     W_x, W_eta, W_s = (
-        sp.csr_array(structure.rate @ Y)
-        for Y in (structure.Y_x, structure.Y_eta, structure.Y_s)
+        sp.csr_array(structure.rate @ Y) for Y in (structure.Y_x, structure.Y_eta, structure.Y_s)
     )
     for W in (W_x, W_eta, W_s):
         W.sum_duplicates()

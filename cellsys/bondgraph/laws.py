@@ -66,9 +66,7 @@ class Laws:
     def __init__(self, structure: Structure) -> None:
         self.structure = structure
         graph = structure.graph
-        self.given = [
-            (self._value(o), o.shape) for o in structure.outputs if o.kind == "source"
-        ]
+        self.given = [(self._value(o), o.shape) for o in structure.outputs if o.kind == "source"]
         kept = [o for o in structure.outputs if o.kind in ("law", "rate")]
         self.places = {}
         start = 0
@@ -81,9 +79,7 @@ class Laws:
         memoryless: list[_Memoryless] = []
         for o in kept:
             place = self.places[o.name]
-            element = (
-                graph.by_name[o.name] if o.kind == "rate" else graph.ports[o.index].element
-            )
+            element = graph.by_name[o.name] if o.kind == "rate" else graph.ports[o.index].element
             if isinstance(element, R) or is_modulated(element):
                 memoryless.append(self._memoryless(o, place))
             else:
@@ -195,13 +191,13 @@ class Laws:
         if is_modulated(element):
             a, b = graph.two_port_sides(element)
             seen = b.name if port == a else a.name
-            direct = o.quantity == "e" if not isinstance(element, TF) else (
-                (port == a) == (o.quantity == "e")
+            direct = (
+                o.quantity == "e"
+                if not isinstance(element, TF)
+                else ((port == a) == (o.quantity == "e"))
             )
             ratio = element.ratio
-            law = (
-                (lambda v, s: ratio(s) * v) if direct else (lambda v, s: v / ratio(s))
-            )
+            law = (lambda v, s: ratio(s) * v) if direct else (lambda v, s: v / ratio(s))
         elif o.constant is not None:
             factor = sign * (o.constant.reshape(o.shape) if o.shape else float(o.constant[0]))
 

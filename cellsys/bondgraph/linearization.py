@@ -65,9 +65,7 @@ def linearize(
         if label in names or label in equations.states:
             block = label in equations.states
             rows = (
-                np.arange(x.size)[equations.states.slice(label)]
-                if block
-                else [names.index(label)]
+                np.arange(x.size)[equations.states.slice(label)] if block else [names.index(label)]
             )
             C_rows.append(np.eye(x.size)[rows])
             D_rows.append(np.zeros((len(rows), s.size)))

@@ -122,8 +122,16 @@ def outputs_of(graph: JunctionGraph, causality: Causality, literal: bool) -> tup
         if isinstance(element, NodalEffort):
             name = port.name
         out.append(
-            Output(index, name, kind, quantity, slice(start, stop), shape, constant,
-                   isinstance(element, (Se, Sf)))
+            Output(
+                index,
+                name,
+                kind,
+                quantity,
+                slice(start, stop),
+                shape,
+                constant,
+                isinstance(element, (Se, Sf)),
+            )
         )
         start = stop
     for element in graph.elements:

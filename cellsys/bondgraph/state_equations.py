@@ -79,9 +79,7 @@ class StateEquations:
     def dependent(self) -> tuple[str, ...]:
         """Linear storages in derivative causality."""
         ports = self.graph.ports
-        return tuple(
-            ports[o.index].name for o in self.structure.outputs if o.kind == "dependent"
-        )
+        return tuple(ports[o.index].name for o in self.structure.outputs if o.kind == "dependent")
 
     @property
     def loops(self) -> tuple[tuple[str, ...], ...]:

@@ -52,8 +52,10 @@ def _law(equations: StateEquations, o: Output, show: Any) -> str:
         other = b if port == a else a
         seen = _sum([(c, show(n)) for c, n in _terms(equations, S.inner[other.name][[0]])])
         ratio = "ratio(x)" if is_modulated(element) else "ratio"
-        divide = o.quantity == "f" if isinstance(element, GY) else (
-            isinstance(element, TF) and (port == a) == (o.quantity == "f")
+        divide = (
+            o.quantity == "f"
+            if isinstance(element, GY)
+            else (isinstance(element, TF) and (port == a) == (o.quantity == "f"))
         )
         return f"({seen}) / {ratio}" if divide else f"{ratio} ({seen})"
     if isinstance(element, (C, I)) and o.kind != "dependent":

@@ -52,9 +52,7 @@ def matrix_row(
         truth = _displacement(test, record, model.dt)
         z0 = model.encode_cell(record.nodes[:1], record.loads[:1])
         place = record.centers[0]
-        done = cells.simulate(
-            record.amplitude[:, None], record.heading[:, None], place[None], z=z0
-        )
+        done = cells.simulate(record.amplitude[:, None], record.heading[:, None], place[None], z=z0)
         size = float(np.linalg.norm(truth))
         found = {
             "model": field.displacement(done.block("field.modes")),

@@ -43,7 +43,6 @@ ModelFile = Annotated[Path, typer.Argument(help="A model written by cellsys (npz
 SceneFile = Annotated[Path, typer.Argument(help="A scene file (toml).")]
 
 
-
 def say_error(error: Exception, code: int) -> int:
     """One line on standard error; gives the exit code back."""
     text = str(error)

@@ -28,9 +28,7 @@ def run(
     ] = False,
     error: Annotated[
         float | None,
-        typer.Option(
-            "--error", help="Share of the motion that the full-order stepping may miss."
-        ),
+        typer.Option("--error", help="Share of the motion that the full-order stepping may miss."),
     ] = None,
     model: Annotated[
         Path | None,

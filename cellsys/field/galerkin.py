@@ -66,8 +66,8 @@ class GalerkinField(GradientField):
     order: int = 200
     linear: bool = False
     seed: Seed = 0
-    snapshots: np.ndarray | Trajectory | Sequence[np.ndarray | Trajectory] | None = (
-        field(default=None, repr=False)
+    snapshots: np.ndarray | Trajectory | Sequence[np.ndarray | Trajectory] | None = field(
+        default=None, repr=False
     )
     places: Filled[int] = FILLED
     per_place: int = 5

@@ -51,9 +51,7 @@ class ExponentialStepper:
         self.L = system.W_x.toarray()
         self.live = np.flatnonzero(np.any(self.L != 0, axis=0) | np.any(self.L != 0, axis=1))
         self.kept: dict[float, Any] = {}
-        self.counts = dict.fromkeys(
-            ("steps", "rejected", "rhs", "jacobians", "factorisations"), 0
-        )
+        self.counts = dict.fromkeys(("steps", "rejected", "rhs", "jacobians", "factorisations"), 0)
 
     def solve(self, t: np.ndarray, x0: np.ndarray, averages: bool) -> Solution:
         """Samples and averages over the grid `t`; no step crosses a stop point."""

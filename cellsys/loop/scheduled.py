@@ -122,9 +122,7 @@ class ScheduledLoop:
         point = self.linearize(at) if at is None or isinstance(at, (int, float)) else at
         return self.frozen(self.model.horizon).open_loop(point)
 
-    def margins_along(
-        self, times: np.ndarray, *, slower_than: float = 0.0
-    ) -> dict[float, Margins]:
+    def margins_along(self, times: np.ndarray, *, slower_than: float = 0.0) -> dict[float, Margins]:
         """Margins of the return ratio with the plant frozen at each of the times (s).
 
         The frozen-time family: what the Bode plot of the loop is early, later, and at the end. A

@@ -35,9 +35,7 @@ from cellsys.overdamped import MajorantBlock, OverdampedSystem, RankOne
 from cellsys.system import Block, Event, Layout
 
 _Place = tuple[slice, tuple[int, ...]]  # where a block lies, and its shape
-_Driven = tuple[
-    Element, tuple[tuple[slice, tuple[int, ...], np.ndarray], ...], tuple[_Place, ...]
-]
+_Driven = tuple[Element, tuple[tuple[slice, tuple[int, ...], np.ndarray], ...], tuple[_Place, ...]]
 
 
 @dataclass(frozen=True)

@@ -119,9 +119,7 @@ def pair_regions(
 
 
 @checked
-def observe_pair(
-    run: Trajectory, alone: Sequence[Trajectory], rest: np.ndarray
-) -> PairReadout:
+def observe_pair(run: Trajectory, alone: Sequence[Trajectory], rest: np.ndarray) -> PairReadout:
     """Gap and matrix speeds of a pair, with the one-cell controls over the same nodes.
 
     Parameters
@@ -170,9 +168,7 @@ def observe_pair(
 @checked
 def speed_against_spacing(readouts: Sequence[PairReadout]) -> np.ndarray:
     """Rows (start gap um, gap speed, one-cell control; nm/s) of several pairs, by spacing."""
-    rows = [
-        (r.gap[0], np.nanmean(r.gap_speed), np.nanmean(r.gap_alone)) for r in readouts
-    ]
+    rows = [(r.gap[0], np.nanmean(r.gap_speed), np.nanmean(r.gap_alone)) for r in readouts]
     return np.array(sorted(rows), dtype=float).reshape(-1, 3)
 
 

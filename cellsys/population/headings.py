@@ -13,9 +13,7 @@ from cellsys.loop import AntiparallelStay, closed_loop
 _FEATURES = ("amplitude", "cos", "sin", "cos2", "sin2")
 
 
-def loop_of(
-    model: Any, controller: Any, sensor: Any, normalise: bool, headings: Any = None
-) -> Any:
+def loop_of(model: Any, controller: Any, sensor: Any, normalise: bool, headings: Any = None) -> Any:
     """The polarity loop of one cell, or None for a model without heading features or sensor.
 
     Raises

@@ -176,9 +176,7 @@ def refuse_shared_runs(train: Snapshots, test: Snapshots) -> None:
     """
     for i in repeated_runs(test, train)[:1]:
         name = test.runs[i].label or f"run {i}"
-        raise ParameterError(
-            f"{name!r} is in the training and in the held-out set; split by run"
-        )
+        raise ParameterError(f"{name!r} is in the training and in the held-out set; split by run")
 
 
 def measured(

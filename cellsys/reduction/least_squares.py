@@ -64,9 +64,7 @@ class LeastSquares:
             notes={"method": repr(self), "regression_rank": rank},
         )
 
-    def refit(
-        self, data: Snapshots, basis: Basis, kept: np.ndarray
-    ) -> np.ndarray:
+    def refit(self, data: Snapshots, basis: Basis, kept: np.ndarray) -> np.ndarray:
         """A (m, m) from the samples `kept` (n_samples,) alone, in the same basis."""
         samples = StepSamples.of(data, basis, basis.parts_of(data), data.dt, kept)
         return self._solve(samples)[0][: basis.V.shape[1]].T

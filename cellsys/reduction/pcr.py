@@ -110,9 +110,7 @@ class PCR:
             },
         )
 
-    def refit(
-        self, data: Snapshots, basis: Basis, kept: np.ndarray
-    ) -> np.ndarray:
+    def refit(self, data: Snapshots, basis: Basis, kept: np.ndarray) -> np.ndarray:
         """A (m, m) from the samples `kept` (n_samples,) alone, in the same basis."""
         return self.generator(data, basis, basis.parts_of(data).where(kept))[0]
 

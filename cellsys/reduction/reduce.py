@@ -81,9 +81,7 @@ def brings_basis(method: Reductor) -> bool:
     return bool(getattr(method, "own_basis", False))
 
 
-def certain(
-    model: ReducedModel, data: Snapshots, method: Regression, basis: Basis
-) -> ReducedModel:
+def certain(model: ReducedModel, data: Snapshots, method: Regression, basis: Basis) -> ReducedModel:
     """The model with what it becomes without each part of the data, where that can be known."""
     found = refits(data, method, model.order, basis)
     if found is None:

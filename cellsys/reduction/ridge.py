@@ -85,9 +85,7 @@ class Ridge:
             notes={"method": repr(self)},
         )
 
-    def refit(
-        self, data: Snapshots, basis: Basis, kept: np.ndarray
-    ) -> np.ndarray:
+    def refit(self, data: Snapshots, basis: Basis, kept: np.ndarray) -> np.ndarray:
         """A (m, m) from the samples `kept` (n_samples,) alone, in the same basis."""
         step = data.dt if self.step is None else float(self.step)
         samples = StepSamples.of(data, basis, basis.parts_of(data), step, kept)

@@ -80,8 +80,11 @@ class FrequencyResponse(Drawable):
         import control
 
         return control.frd(
-            self.response, self.omega, self.dt,
-            inputs=list(self.inputs), outputs=list(self.outputs),
+            self.response,
+            self.omega,
+            self.dt,
+            inputs=list(self.inputs),
+            outputs=list(self.outputs),
         )
 
     def __len__(self) -> int:

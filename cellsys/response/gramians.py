@@ -123,9 +123,15 @@ def factors(b: Balanced, *, discrete: bool) -> tuple[np.ndarray, np.ndarray]:
 def unscaled(b: Balanced) -> Balanced:
     """Undo the scaling of inputs and outputs, which Gramians depend on."""
     ones = np.ones
-    return Balanced(b.A, b.B / b.right[None, :], b.C / b.left[:, None],
-                    b.D / b.left[:, None] / b.right[None, :], b.states, ones(len(b.left)),
-                    ones(len(b.right)))
+    return Balanced(
+        b.A,
+        b.B / b.right[None, :],
+        b.C / b.left[:, None],
+        b.D / b.left[:, None] / b.right[None, :],
+        b.states,
+        ones(len(b.left)),
+        ones(len(b.right)),
+    )
 
 
 def _residual(A: np.ndarray, F: np.ndarray, B: np.ndarray, *, discrete: bool) -> float:

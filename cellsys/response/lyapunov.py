@@ -132,7 +132,10 @@ def certificate(A: np.ndarray, excess: float, *, discrete: bool) -> LyapunovCert
         return LyapunovCertificate(False, P, residual, np.inf, reason)
     condition = float(p[-1] / p[0])
     return LyapunovCertificate(
-        True, P, residual, condition,
+        True,
+        P,
+        residual,
+        condition,
         f"P > 0, A^T P {'A - P' if discrete else '+ P A'} <= {top + error:.2g} I, "
         f"residual {residual:.1e}, cond(P) = {condition:.2g}",
     )

@@ -181,9 +181,7 @@ def _crossings(loci: Loci) -> tuple[np.ndarray, np.ndarray]:
     phase, gain = _at_the_ends(loci)
     inner = np.column_stack([real.omega, 1 / np.abs(real.values)])
     phase = np.concatenate([inner, phase])
-    gain = np.concatenate(
-        [np.column_stack([unit.omega, _above(unit.values)]), gain]
-    )
+    gain = np.concatenate([np.column_stack([unit.omega, _above(unit.values)]), gain])
     # L = -1 is both, also where the locus runs along the unit circle and never crosses it.
     share = np.append(real.noise / np.abs(real.values), np.zeros(len(phase) - len(real.omega)))
     for omega in phase[np.abs(np.log(phase[:, 1])) <= 2 * share + 8 * EPS, 0]:
@@ -254,7 +252,15 @@ def margins(sys: LinearSystem, omega: np.ndarray | None = None) -> Margins:
     picked = _pick(phase, gain, loci)
     fixed = _fixed_integrators(system)
     return Margins(
-        *picked, phase, gain, *disk, P, Z, Z - P, fixed, solvable and Z == 0 and edge <= fixed,
+        *picked,
+        phase,
+        gain,
+        *disk,
+        P,
+        Z,
+        Z - P,
+        fixed,
+        solvable and Z == 0 and edge <= fixed,
         loci,
     )
 

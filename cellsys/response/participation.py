@@ -84,8 +84,17 @@ def participation(sys: LinearSystem) -> Participation:
     n, m, p = system.n_states, system.n_inputs, system.n_outputs
     if n == 0:
         none = np.zeros
-        return Participation(none(0, complex), none((0, 0)), none((p, 0)), none((0, m)),
-                             none((p, m, 0)), none(0), (), system.inputs, system.outputs)
+        return Participation(
+            none(0, complex),
+            none((0, 0)),
+            none((p, 0)),
+            none((0, m)),
+            none((p, m, 0)),
+            none(0),
+            (),
+            system.inputs,
+            system.outputs,
+        )
     b = balance(system)
     values, left, right = sla.eig(b.A, left=True, right=True)
     rank = order(values)
@@ -97,5 +106,14 @@ def participation(sys: LinearSystem) -> Participation:
         rows = np.abs((left.conj().T @ b.B) / inner[:, None]) / b.right
     columns = np.abs(b.C @ right) / b.left[:, None]
     residue = columns[:, None, :] * rows.T[None, :, :]
-    return Participation(values, states, columns, rows, residue, condition, system.states,
-                         system.inputs, system.outputs)
+    return Participation(
+        values,
+        states,
+        columns,
+        rows,
+        residue,
+        condition,
+        system.states,
+        system.inputs,
+        system.outputs,
+    )

@@ -23,9 +23,7 @@ _SHARP = 1e-7  # damping ratio below which a root counts as on the boundary
 _DECADES = 4  # below the grid that the asymptote is looked for
 
 
-def continuous_phase(
-    system: Realization, omega: np.ndarray, response: np.ndarray
-) -> np.ndarray:
+def continuous_phase(system: Realization, omega: np.ndarray, response: np.ndarray) -> np.ndarray:
     """Phase (p, m, k) in rad of `response` at `omega`, from the asymptote on.
 
     Between the asymptote and the frequencies asked for the response is followed on a grid of its
@@ -45,9 +43,7 @@ def continuous_phase(
     inner = np.concatenate([[low.min()], own, size[size > 0]])
     inner = np.unique(np.append(inner, low.ravel()))
     inner = inner[inner <= max(size.max(), low.max())]
-    path, values = grid.refine(
-        lambda w: evaluate(s_plane(w, system.dt)).reshape(p * m, -1), inner
-    )
+    path, values = grid.refine(lambda w: evaluate(s_plane(w, system.dt)).reshape(p * m, -1), inner)
     usable = np.isfinite(values).all(axis=0)
     path, values = path[usable], values[:, usable]
     below, bound = size < low.max(), np.zeros((p, m, k))
@@ -104,9 +100,7 @@ def _asymptote(evaluate: Resolvent, dt: float, low: float) -> tuple[np.ndarray, 
     return trial[at], np.where(good.any(axis=-1), np.round(slope), 0.0)
 
 
-def _jumps(
-    system: Realization, i: int, j: int, omega: np.ndarray, step: np.ndarray
-) -> np.ndarray:
+def _jumps(system: Realization, i: int, j: int, omega: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Whole turns to add to the steps that pass a pole or a zero on the boundary."""
     more = np.zeros(len(step))
     where = np.flatnonzero(np.abs(step) > np.pi / 2)
@@ -129,5 +123,3 @@ def _jumps(
     wrapped = (step[where] - expected + np.pi) % (2 * np.pi) - np.pi
     more[where] = wrapped + expected - step[where]
     return more
-
-

@@ -204,8 +204,14 @@ class Realization:
         """As ``control.StateSpace`` with the same names and dt."""
         full = self.dense()
         return state_space(
-            full.A, full.B, full.C, full.D, full.dt, states=list(self.states) or None,
-            inputs=list(self.inputs) or None, outputs=list(self.outputs) or None,
+            full.A,
+            full.B,
+            full.C,
+            full.D,
+            full.dt,
+            states=list(self.states) or None,
+            inputs=list(self.inputs) or None,
+            outputs=list(self.outputs) or None,
         )
 
 

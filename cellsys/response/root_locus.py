@@ -129,11 +129,19 @@ def root_locus(
     branches = track(np.array(rows).T).T
     margin = np.array([_outermost(row, dt) for row in rows])
     crossings = [
-        brentq(lambda k: _outermost(_eigenvalues(matrix(k)), dt), values[i], values[i + 1],
-               xtol=1e-300, rtol=1e-14)
+        brentq(
+            lambda k: _outermost(_eigenvalues(matrix(k)), dt),
+            values[i],
+            values[i + 1],
+            xtol=1e-300,
+            rtol=1e-14,
+        )
         for i in np.flatnonzero(margin[:-1] * margin[1:] < 0)
-    ] + [float(values[i]) for i in range(1, len(values) - 1)
-         if margin[i] == 0 and margin[i - 1] * margin[i + 1] < 0]
+    ] + [
+        float(values[i])
+        for i in range(1, len(values) - 1)
+        if margin[i] == 0 and margin[i - 1] * margin[i + 1] < 0
+    ]
     return RootLocus(values, branches, ends, np.sort(crossings), dt)
 
 

@@ -176,9 +176,7 @@ for _name in (
     setattr(RootSet, _name, _of_plain_arrays(_name))
 
 
-def _rebuild(
-    values: np.ndarray, kind: str, dt: float, detail: Spectrum, note: str
-) -> RootSet:
+def _rebuild(values: np.ndarray, kind: str, dt: float, detail: Spectrum, note: str) -> RootSet:
     return RootSet(values, kind=kind, dt=dt, detail=detail, note=note)
 
 

@@ -38,8 +38,10 @@ class ZeroOrderHold:
         if float(sla.norm(back - M)) > 1e-6 * max(float(sla.norm(M)), 1e-300):
             raise ParameterError("the logarithm of the sampled system is not accurate to 1e-6")
         return replace(
-            system, A=L[:n, :n] * scale[:, None] / scale[None, :],
-            B=L[:n, n:] * scale[:, None], dt=0.0,
+            system,
+            A=L[:n, :n] * scale[:, None] / scale[None, :],
+            B=L[:n, n:] * scale[:, None],
+            dt=0.0,
         )
 
 
@@ -70,14 +72,21 @@ class Tustin:
     def discrete(self, system: Realization, dt: float) -> Realization:
         """Sample with step dt (s)."""
         a = self._rate(dt)
-        return _moebius(system, a * np.eye(system.n_states) - system.A,
-                        a * np.eye(system.n_states) + system.A, np.sqrt(2 * a), 1.0, dt)
+        return _moebius(
+            system,
+            a * np.eye(system.n_states) - system.A,
+            a * np.eye(system.n_states) + system.A,
+            np.sqrt(2 * a),
+            1.0,
+            dt,
+        )
 
     def continuous(self, system: Realization) -> Realization:
         """Undo `discrete`; ParameterError when -1 is a pole."""
         a, n = self._rate(system.dt), system.n_states
-        return _moebius(system, np.eye(n) + system.A, a * (system.A - np.eye(n)),
-                        np.sqrt(2 * a), -1.0, 0.0)
+        return _moebius(
+            system, np.eye(n) + system.A, a * (system.A - np.eye(n)), np.sqrt(2 * a), -1.0, 0.0
+        )
 
 
 def _refuse_negative(values: np.ndarray, size: float) -> None:
@@ -136,9 +145,7 @@ def exponential(A: np.ndarray, B: np.ndarray, h: float) -> np.ndarray:
     return F * scale[:, None]
 
 
-Sampling = Annotated[
-    ZeroOrderHold | Tustin, "cellsys.ZeroOrderHold() or cellsys.Tustin(match=...)"
-]
+Sampling = Annotated[ZeroOrderHold | Tustin, "cellsys.ZeroOrderHold() or cellsys.Tustin(match=...)"]
 
 
 @checked

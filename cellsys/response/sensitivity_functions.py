@@ -83,9 +83,7 @@ def sensitivity(sys: LinearSystem, omega: np.ndarray | None = None) -> Sensitivi
         raise ParameterError("I + D is singular: the loop is algebraic and has no solution")
     K = sla.solve(F, np.hstack([L.C, np.eye(m)])) if m else np.zeros((0, L.n_states))
     C, E = K[:, : L.n_states], K[:, L.n_states :]
-    S = replace(
-        L, A=L.A - L.B @ C, B=L.B @ E, C=-C, D=E, inputs=L.outputs, outputs=L.outputs
-    )
+    S = replace(L, A=L.A - L.B @ C, B=L.B @ E, C=-C, D=E, inputs=L.outputs, outputs=L.outputs)
     T = replace(S, C=C, D=np.eye(m) - E)
     response = frequency_response(S, omega)
     return Sensitivity(
@@ -166,12 +164,21 @@ def error_system(
     names = tuple(f"full.{s}" for s in one.states) + tuple(f"reduced.{s}" for s in two.states)
     system = Realization(
         sla.block_diag(one.A, two.A) if one.n_states + two.n_states else np.zeros((0, 0)),
-        np.vstack([one.B, two.B]), np.hstack([one.C, -two.C]), one.D - two.D, dt, names,
-        one.inputs, one.outputs,
+        np.vstack([one.B, two.B]),
+        np.hstack([one.C, -two.C]),
+        one.D - two.D,
+        dt,
+        names,
+        one.inputs,
+        one.outputs,
     )
     h2, hinf = h2_norm(system), hinf_norm(system)
     return ErrorSystem(
-        system, h2, hinf, _ratio(h2, h2_norm(one)), _ratio(hinf, hinf_norm(one)),
+        system,
+        h2,
+        hinf,
+        _ratio(h2, h2_norm(one)),
+        _ratio(hinf, hinf_norm(one)),
         frequency_response(system, omega),
     )
 

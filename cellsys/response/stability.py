@@ -302,8 +302,11 @@ def stability(
 def _pole_set(found: Spectrum, dt: float, certainty: PoleCertainty | None) -> RootSet:
     rank = order(found.values)
     detail = replace(
-        found, values=found.values[rank], condition=found.condition[rank],
-        bound=found.bound[rank], cluster=found.cluster[rank],
+        found,
+        values=found.values[rank],
+        condition=found.condition[rank],
+        bound=found.bound[rank],
+        cluster=found.cluster[rank],
     )
     note = "" if certainty is None else data_note(certainty)
     return RootSet(detail.values, kind="pole", dt=dt, detail=detail, note=note)

@@ -102,9 +102,7 @@ def _short(h: float) -> float:
     return float(np.ldexp(np.ceil(mantissa * 2**30), int(exponent) - 30))
 
 
-def _instants(
-    fine: np.ndarray, lives: np.ndarray, end: float, most: int, least: int
-) -> np.ndarray:
+def _instants(fine: np.ndarray, lives: np.ndarray, end: float, most: int, least: int) -> np.ndarray:
     """Discrete times in samples: all of the first 2000, then by strides that double."""
     end = max(int(np.ceil(end - 1e-9)), least)
     k = min(end, 4 * _LEAST)

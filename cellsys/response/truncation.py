@@ -105,7 +105,13 @@ def balanced_truncation(
     V = b.states[:, None] * (F_c @ Yt[:r].T) / root
     W = (F_o @ U[:, :r]) / root / b.states[:, None]
     reduced = Realization(
-        W.T @ (system.A @ V), W.T @ system.B, system.C @ V, system.D, system.dt,
-        tuple(f"balanced[{i}]" for i in range(r)), system.inputs, system.outputs,
+        W.T @ (system.A @ V),
+        W.T @ system.B,
+        system.C @ V,
+        system.D,
+        system.dt,
+        tuple(f"balanced[{i}]" for i in range(r)),
+        system.inputs,
+        system.outputs,
     )
     return BalancedTruncation(reduced, s, float(tails[r]), W, V)

@@ -88,8 +88,11 @@ def zeros(sys: LinearSystem, *, rank_tol: float | None = None, infinite: float =
     keep = np.flatnonzero(np.abs(found.values) <= infinite * norm)
     keep = keep[order(found.values[keep])]
     detail = type(found)(
-        found.values[keep], found.condition[keep], found.bound[keep],
-        np.unique(found.cluster[keep], return_inverse=True)[1], found.backward,
+        found.values[keep],
+        found.condition[keep],
+        found.bound[keep],
+        np.unique(found.cluster[keep], return_inverse=True)[1],
+        found.backward,
     )
     return RootSet(detail.values, kind="zero", dt=system.dt, detail=detail, note=note)
 

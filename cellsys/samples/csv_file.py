@@ -87,9 +87,7 @@ def read_csv(path: Path) -> Table:
         raise FileFormatError(f"{path.name} has a column of time and no other; states are missing")
     where = [f"line {row.line}" for row in rows]
     step = interval(values[:, column] * scale, path.name, where)
-    return Table(
-        np.delete(values, column, axis=1), (*names[:column], *names[column + 1 :]), step
-    )
+    return Table(np.delete(values, column, axis=1), (*names[:column], *names[column + 1 :]), step)
 
 
 def interval(t: np.ndarray, name: str, where: list[str] | None = None) -> float:

@@ -34,9 +34,7 @@ def heading_scenes(scene: S, reach: float) -> tuple[list[S], list[S]]:
         seed, spread = scene.seed, plan.scatter
         plain = turning(scene, plan.runs - plan.loaded, reach, seed=seed, scatter=spread)
         loaded = turning(scene, plan.loaded, reach, seed=seed, loaded=True, scatter=spread)
-        held = turning(
-            scene, plan.held_out, reach, seed=seed + 1, scatter=spread, label="held out"
-        )
+        held = turning(scene, plan.held_out, reach, seed=seed + 1, scatter=spread, label="held out")
         return plain + loaded, held
     spacing = 2.0 * np.pi / plan.runs
     trained = [spacing * k for k in range(plan.runs)]

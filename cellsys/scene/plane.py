@@ -121,9 +121,7 @@ class Plane:
         self, scene: S, n: int, *, seed: int, loaded: bool, scatter: float, label: str
     ) -> list[S]:
         """Scenes of turning commands; see `turning_scenes`."""
-        return turning(
-            scene, n, self.reach, seed=seed, loaded=loaded, scatter=scatter, label=label
-        )
+        return turning(scene, n, self.reach, seed=seed, loaded=loaded, scatter=scatter, label=label)
 
     def draw(self, run: Trajectory, ax: Any = None, *, k: int = -1) -> Any:
         """Horizontal displacement of the surface at sample k."""

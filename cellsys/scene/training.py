@@ -51,6 +51,4 @@ def turning_scenes(
     SceneError
         A scene on a chain: crawlers take no commands.
     """
-    return scene.matrix_kind.turn(
-        scene, n, seed=seed, loaded=loaded, scatter=scatter, label=label
-    )
+    return scene.matrix_kind.turn(scene, n, seed=seed, loaded=loaded, scatter=scatter, label=label)

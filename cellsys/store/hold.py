@@ -216,9 +216,7 @@ def _whose(partial: Path) -> str:
     found, age = _lease(partial), _age(partial)
     if not found or not 0 <= age < float("inf"):
         return ""
-    return (
-        f" (number {found.get('pid')} on {found.get('host')}, last sign of life {age:.0f} s ago)"
-    )
+    return f" (number {found.get('pid')} on {found.get('host')}, last sign of life {age:.0f} s ago)"
 
 
 def _age(partial: Path) -> float:

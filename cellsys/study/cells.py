@@ -169,9 +169,7 @@ def _cell_row(run: Trajectory, k: int, name: str) -> dict[str, float]:
     return row
 
 
-def _verdict(
-    scene: Scene, run: Trajectory, pairs: Mapping, reduced: ReducedCells | None
-) -> str:
+def _verdict(scene: Scene, run: Trajectory, pairs: Mapping, reduced: ReducedCells | None) -> str:
     K = len(scene.cells)
     text = f"{K} cell{'s' if K != 1 else ''}, {run.t[-1]:g} s, full-order"
     touch = [e for e in run.events if e.name == "contact"]

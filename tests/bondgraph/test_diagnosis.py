@@ -67,9 +67,7 @@ def test_algebraic_loop_of_resistors():
     r1, r2 = {"law": cube}, {"inverse": lambda e: e + e**3}
     with pytest.raises(CausalityError, match=r"algebraic loop through 'r1\.e', 'r2\.f'"):
         resistors(r1=r1, r2=r2).equations()
-    equations = resistors(
-        r1={**r1, "monotone": True}, r2={**r2, "monotone": True}
-    ).equations()
+    equations = resistors(r1={**r1, "monotone": True}, r2={**r2, "monotone": True}).equations()
     assert equations.loops == (("r1.e", "r2.f"),)
     flow = brentq(
         lambda f: 2.0 - f**3 - brentq(lambda e: e + e**3 + e / 4 - f, -9, 9, xtol=1e-15),

@@ -138,9 +138,7 @@ def test_a_full_basis_gives_the_full_field():
     f = cs.GalerkinField(small(), modes=whole.modes.toarray(), tolerance=1e-9)
     loads = patch_loads(f, 3, seed=2)
     one = f.displacement(f.simulate(loads, 10.0).x)
-    two = whole.displacement(
-        cs.FullField(small(), tolerance=1e-9).simulate(loads, 10.0).x
-    )
+    two = whole.displacement(cs.FullField(small(), tolerance=1e-9).simulate(loads, 10.0).x)
     # Both leave 1e-9 of the load; soft directions have 1e3 times less stiffness than stiff ones.
     assert np.abs(one - two).max() < 1e-6 * np.abs(two).max()
 

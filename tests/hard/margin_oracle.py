@@ -136,9 +136,9 @@ def gain_changes(plant, low=-3.0, high=3.0, count=60):
     i, j = i[changed], j[changed]
 
     def sign(x):
-        return np.count_nonzero(depth(x.ravel()) > 0, axis=1).reshape(x.shape) != unstable[i][
-            :, None
-        ]
+        return (
+            np.count_nonzero(depth(x.ravel()) > 0, axis=1).reshape(x.shape) != unstable[i][:, None]
+        )
 
     return section(sign, k[i], k[j]) if len(i) else k[:0], (k[i], k[j])
 

@@ -54,7 +54,7 @@ def default_axes_show_the_response(kind, n, spread, damping, samples, seed):
     held[:-1, :-1], held[:-1, -1:] = A, B
     held[-1, -1] = 1.0 if dt else 0.0
     for k in rng.integers(0, len(t), 4):
-        power = (np.linalg.matrix_power(held, round(t[k] / dt)) if dt else sla.expm(held * t[k]))
+        power = np.linalg.matrix_power(held, round(t[k] / dt)) if dt else sla.expm(held * t[k])
         assert abs((C @ power[:-1, -1:]).item() - y[k]) <= 1e-7 * np.abs(y).max()
     if len(t) > 140_000:
         return  # as long as it may be
@@ -105,8 +105,14 @@ def phases_are_sums_over_roots(poles, zeros, integrators, seed):
             w, c, pair = below[k]
             over = above[k] if k < zeros else None
             den = [1.0, 2 * c * w, w * w] if pair else [1.0, c * w]
-            num = [1.0] if over is None else (
-                [1.0, 2 * over[1] * over[0], over[0] ** 2] if over[2] else [1.0, over[1] * over[0]]
+            num = (
+                [1.0]
+                if over is None
+                else (
+                    [1.0, 2 * over[1] * over[0], over[0] ** 2]
+                    if over[2]
+                    else [1.0, over[1] * over[0]]
+                )
             )
         else:
             den, num = [1.0, 0.0], [1.0]

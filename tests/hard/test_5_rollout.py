@@ -130,9 +130,7 @@ def every_equivariant_order_is_bounded(order, amplitude, heading):
     """1e6 s under a constant command, whatever its size: bounded, and flagged where it is new."""
     model = equivariant(order)
     K = round(1e6 / model.dt)
-    z = model.simulate_commands(
-        model.z_start, np.full(K, amplitude), np.full(K, heading), 0.0
-    )
+    z = model.simulate_commands(model.z_start, np.full(K, amplitude), np.full(K, heading), 0.0)
     assert np.all(np.isfinite(z))
     shape = np.abs(z[:, :-2]).max(axis=1)  # the centroid may go on
     assert shape[K // 2 :].max() <= 1.01 * shape[: K // 2].max() + 1e-9
@@ -336,10 +334,7 @@ CASES = (
 
 @pytest.mark.parametrize(
     "case",
-    [
-        pytest.param(c, marks=pytest.mark.slow if "equ" in c.name else ())
-        for c in CASES
-    ],
+    [pytest.param(c, marks=pytest.mark.slow if "equ" in c.name else ()) for c in CASES],
     ids=lambda c: c.name,
 )
 def test_random_instances(case):

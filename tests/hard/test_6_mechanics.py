@@ -168,9 +168,7 @@ def test_explicit_steps_blow_up_on_stiff_fibres():
 
 def pressure_holds_at_any_step(step, modulus, amount):
     """A shell blown up or squeezed: volume returns towards its rest, monotonically enough."""
-    system = tiny_system(
-        *SHELL, cells=1, matrix=False, volume={"modulus": f"{modulus} Pa"}
-    )
+    system = tiny_system(*SHELL, cells=1, matrix=False, volume={"modulus": f"{modulus} Pa"})
     x = system.x0.copy()
     place = system.states.slice("cell1.position")
     nodes = x[place].reshape(-1, 3)

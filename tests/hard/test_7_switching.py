@@ -17,6 +17,7 @@ METHODS = Choice(DOP853, LSODA, Radau)
 
 def clock(times, method, *, jump=1.0, end=10.0):
     """x' = 1 with events where x passes each time; each reset adds `jump` to a counter."""
+
     def event(k, at):
         return EventFunction(
             f"e{k}", lambda t, x: x[0] - at, 1, lambda t, x: x + np.array([0.0, jump])

@@ -68,6 +68,7 @@ def a_pulse_shorter_than_a_step_is_felt(start, width, method):
 
     The law is continuous from the right: the piece that ends at a stop point takes its left limit.
     """
+
     def push(t, x):
         return np.array([1.0 / width if start <= t < start + width else 0.0])
 

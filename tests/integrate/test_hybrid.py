@@ -110,6 +110,7 @@ def test_accumulating_bounces_are_called_chattering():
 @pytest.mark.parametrize("method", METHODS)
 def test_observed_crossings_of_either_direction(method):
     """An event without reset notes every zero of sin t, and only that."""
+
     def wave(direction):
         event = EventFunction("zero", lambda t, x: x[0], direction)
         return Hybrid([event], states=["s", "c"], x0=[0.0, 1.0], W_x=[[0, 1], [-1, 0]])
@@ -124,6 +125,7 @@ def test_observed_crossings_of_either_direction(method):
 @pytest.mark.parametrize("method", METHODS)
 def test_no_step_crosses_a_stop_point(method):
     """dx/dt jumps from 0 to 1 at t = 1/3: exact at once if a step ends there."""
+
     def system(stops):
         return Hybrid(
             (), stops, states=["x"], x0=[0.0],

@@ -58,8 +58,9 @@ def hand_rates(system, x):
         v_lead, v_trail = p_lead / c.mass, p_trail / c.mass
         s = h * (lead - trail) - c.length
         cell = c.stiffness * s + c.stiffness3 * s**3 + c.damping * h * (v_lead - v_trail)
-        pull_lead, pull_trail = c.adhesion_lead * (at_lead - lead), c.adhesion_trail * (
-            at_trail - trail
+        pull_lead, pull_trail = (
+            c.adhesion_lead * (at_lead - lead),
+            c.adhesion_trail * (at_trail - trail),
         )
         v[i_lead] = (tension[i_lead] - tension[i_lead - 1] - pull_lead) / ch.drag
         v[i_trail] = (tension[i_trail] - tension[i_trail - 1] - pull_trail) / ch.drag
@@ -116,9 +117,7 @@ def test_bond_graph_gives_the_same_rates():
     for _ in range(200):
         x = random_state(system, rng)
         d = system.rhs(0.0, x)
-        expected = np.array(
-            [d[3], d[2], d[7], d[1] - d[4], d[5] - d[0], d[4], d[5] - d[4], -d[5]]
-        )
+        expected = np.array([d[3], d[2], d[7], d[1] - d[4], d[5] - d[0], d[4], d[5] - d[4], -d[5]])
         for equations in (literal, plain):
             got = equations.system.rhs(0.0, graph_state(cell, chain, x))
             np.testing.assert_allclose(got, expected, rtol=0, atol=1e-13 * (1 + np.abs(d).max()))
@@ -252,9 +251,7 @@ def test_outcomes_have_a_reason():
     assert "lead adhesion stays stretched" in soft.reason
     ends = crawl(build_crawlers([Crawler()]), method, np.linspace(0, 60, 61))
     assert "its lead holds the last node of the chain" in ends.reason
-    chatty = crawl(
-        build_crawlers([Crawler(grab=0.8, rupture=0.05)]), method, t
-    )
+    chatty = crawl(build_crawlers([Crawler(grab=0.8, rupture=0.05)]), method, t)
     assert chatty.chatter > 0 or chatty.trajectory.statistics["shortest_interval"] < 0.02
     stopped = crawl(build_crawlers([Crawler()]), DOP853(rtol=1e-7, atol=1e-9, max_steps=50), t)
     assert stopped.outcome == "stopped"

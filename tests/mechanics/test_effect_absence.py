@@ -74,9 +74,7 @@ def test_an_absent_effect_is_never_called_and_leaves_no_trace(name, monkeypatch)
     for owner, method, value in methods_of(kinds):
         if any(issubclass(kind, owner) for kind in shared):
             continue
-        monkeypatch.setattr(
-            owner, method, lambda *a, value=value: calls.append(value) or value(*a)
-        )
+        monkeypatch.setattr(owner, method, lambda *a, value=value: calls.append(value) or value(*a))
     run(bare)
     assert not calls
     run(full)
@@ -112,8 +110,6 @@ def test_a_polarity_without_a_sensor_senses_nothing(monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(steering, "exact_step", refuse)
     run(tiny_system("lamellipodium", "stiffness_sensing"))
-
-
 
 
 def test_only_the_files_of_named_effects_are_imported():

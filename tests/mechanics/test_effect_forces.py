@@ -37,8 +37,10 @@ def disturbed(system, seed, size=0.1):
     for block in system.states:
         part = system.states.view(x, block.name)
         if block.name.endswith(("position", "offset", "displacement")):
-            part += (0.03 if "displacement" in block.name else 1.0) * size * rng.standard_normal(
-                part.shape
+            part += (
+                (0.03 if "displacement" in block.name else 1.0)
+                * size
+                * rng.standard_normal(part.shape)
             )
     for k, towards in ((1, 0.35), (2, -0.35)):  # touching each other and the substrate
         if f"cell{k}.position" in system.states:

@@ -106,9 +106,7 @@ def test_a_vector_is_read_from_states_that_turn_like_one():
     charge = (np.arange(0, 3), np.arange(3, 6))
     size = np.linalg.norm(np.concatenate([known.moment(v[:, -2:]) for v in z]), axis=1).mean()
     c = size * np.array([0.4, -0.2, 0.1])
-    q = [
-        0.6 * known.moment(v[:, -2:]) + np.column_stack([v[:, :3] @ c, v[:, 3:6] @ c]) for v in z
-    ]
+    q = [0.6 * known.moment(v[:, -2:]) + np.column_stack([v[:, :3] @ c, v[:, 3:6] @ c]) for v in z]
     d = [np.column_stack([v / np.linalg.norm(v, axis=1, keepdims=True), 0 * v[:, 0]]) for v in q]
     sensor = fit_local_sensor(z, d, known, moments={"stiffness": q}, charge=charge)
     assert sensor.inputs == "stiffness under strain"

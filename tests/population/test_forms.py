@@ -181,8 +181,9 @@ def test_more_directions_than_cell_rows():
     """m > rank V_alpha: the split is singular as a matter of structure."""
     rng = np.random.default_rng(0)
     V = sla.qr(rng.standard_normal((20, 8)), mode="economic")[0]
-    m = LatentModel(-np.eye(8) + 0.1 * rng.standard_normal((8, 8)), V=V,
-                    blocks={"field": range(5, 20)})
+    m = LatentModel(
+        -np.eye(8) + 0.1 * rng.standard_normal((8, 8)), V=V, blocks={"field": range(5, 20)}
+    )
     cells = couple(m, 4)
     assert cells.rank.purely_field == 3
     assert cells.pole_set().zeros == 9

@@ -71,8 +71,14 @@ def test_closed_form_over_a_million_seconds(q):
     b = np.array([1e-4, 0.01, 0.1, 0.2, -0.3])
     T = sla.qr(rng.standard_normal((m_, m_)))[0]
     base = model(m=m_, gap=gap, seed=q, centred=True)
-    m = LatentModel(T @ A @ T.T, offset=T @ b, V=base.V, mean=base.mean, blocks=base.blocks,
-                    z_start=base.z_start)
+    m = LatentModel(
+        T @ A @ T.T,
+        offset=T @ b,
+        V=base.V,
+        mean=base.mean,
+        blocks=base.blocks,
+        z_start=base.z_start,
+    )
     K, t = 3, np.array([0.0, 1e3, 3e4, 1e6])
     z0 = rng.standard_normal((K, m_))
     run = couple(m, K).simulate(t, z0=z0)
@@ -156,14 +162,10 @@ def test_one_cell_is_the_closed_loop():
 
 def test_order_of_the_extrapolated_splitting():
     # raw d: a normalised one turns fast where it passes zero, and no step then is small
-    cells = couple(
-        model(m=4, steered=True, seed=1), 3, headings=[0.0, 1.0, 2.0], normalise=False
-    )
+    cells = couple(model(m=4, steered=True, seed=1), 3, headings=[0.0, 1.0, 2.0], normalise=False)
     t = np.array([0.0, 80.0])
     exact = cells.simulate(t, Exponential(rtol=1e-13, atol=1e-13)).x[-1]
-    error = [
-        np.abs(cells.simulate(t, Splitting(step=h)).x[-1] - exact).max() for h in (5.0, 2.5)
-    ]
+    error = [np.abs(cells.simulate(t, Splitting(step=h)).x[-1] - exact).max() for h in (5.0, 2.5)]
     assert 40 < error[0] / error[1] < 110  # order 6: 64
 
 
@@ -253,8 +255,9 @@ def test_closed_loops_interact_through_the_sensed_field():
         N = np.eye(4 * K) + np.kron(np.ones((K, K)) - np.eye(K), P_phi(m))
         read = own.kappa * np.kron(np.eye(K), own.S_heading[None]) @ N
         drive = np.kron(np.eye(K), own.B_heading[:, None])
-        M = np.block([[np.kron(np.eye(K), m.A), drive],
-                      [read, -own.kappa * own.strength * np.eye(K)]])
+        M = np.block(
+            [[np.kron(np.eye(K), m.A), drive], [read, -own.kappa * own.strength * np.eye(K)]]
+        )
         assert match(np.repeat(found.poles.values, found.poles.multiplicity), sla.eigvals(M)) < 1e-9
         mean = found.poles.values[found.poles.omega == K - 1]
         assert match(mean, one.poles.values) > 1e-3

@@ -101,7 +101,10 @@ def test_importing_the_room_loads_nothing_heavy() -> None:
 def test_cost_script_runs_in_its_quick_form() -> None:
     done = subprocess.run(
         [sys.executable, "analysis/response_cost.py", "--quick"],
-        capture_output=True, text=True, check=False, timeout=120,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
     )
     assert done.returncode == 0, done.stderr
     assert "fastest other" in done.stdout

@@ -49,8 +49,9 @@ def test_uncontrollable_and_disconnected_states() -> None:
     # Zeros below the subdiagonal of the Hessenberg form: the rest is left out exactly.
     A = np.diag([-1.0, -2.0, -3.0, -4.0])
     system = (A, np.array([[1.0], [0], [1], [0]]), np.ones((1, 4)), np.zeros((1, 1)))
-    np.testing.assert_allclose(frequency_response(system, OMEGA).response,
-                               direct(system, OMEGA), rtol=1e-14)
+    np.testing.assert_allclose(
+        frequency_response(system, OMEGA).response, direct(system, OMEGA), rtol=1e-14
+    )
     zero = (A, np.zeros((4, 1)), np.ones((1, 4)), np.array([[2.0]]))
     np.testing.assert_array_equal(frequency_response(zero, OMEGA).response, 2.0)
 
@@ -76,8 +77,12 @@ def test_units_do_not_matter(spread: float) -> None:
     assert np.all(np.abs(one.response - two.response) <= 2 * tolerance * np.abs(one.response))
     # gebal stops near the best scaling, not at one and the same: two digits of the bound at most.
     assert np.all(two.accuracy <= 100 * one.accuracy)
-    np.testing.assert_allclose(np.sort_complex(poles(scaled)), np.sort_complex(poles(plain)),
-                               atol=2 * poles(plain).error_bound.max(), rtol=0)
+    np.testing.assert_allclose(
+        np.sort_complex(poles(scaled)),
+        np.sort_complex(poles(plain)),
+        atol=2 * poles(plain).error_bound.max(),
+        rtol=0,
+    )
 
 
 def test_metres_to_nanometres() -> None:
@@ -108,8 +113,9 @@ def test_sparse_equals_dense_and_is_never_densified() -> None:
     np.testing.assert_allclose(found.response, dense.response, rtol=1e-11)
     assert found.accuracy.max() < 1e-6
     n = 10_000
-    line = sp.diags_array([np.ones(n - 1), -2.0 * np.ones(n), np.ones(n - 1)],
-                          offsets=[-1, 0, 1], format="csr")
+    line = sp.diags_array(
+        [np.ones(n - 1), -2.0 * np.ones(n), np.ones(n - 1)], offsets=[-1, 0, 1], format="csr"
+    )
     large = Realization(line, np.eye(n, 1), np.eye(1, n))
     omega = np.array([0.3, 2.0])
     # Half-infinite chain: g = 1/(s + 2 - g); the far end is out of sight at these frequencies.
@@ -134,8 +140,9 @@ def test_automatic_grid_resolves_sharp_resonances() -> None:
 
 
 def test_undamped_pole_is_left_out_of_the_automatic_grid() -> None:
-    found = frequency_response((np.array([[0.0, 1.0], [-1.0, 0.0]]), [[0.0], [1.0]], [[1.0, 0.0]],
-                                [[0.0]]))
+    found = frequency_response(
+        (np.array([[0.0, 1.0], [-1.0, 0.0]]), [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    )
     assert np.all(np.isfinite(found.response))
 
 
@@ -150,9 +157,7 @@ def test_frd_and_names() -> None:
     assert "2 frequencies" in str(found)
 
 
-@pytest.mark.parametrize(
-    ("n", "m", "p"), [(0, 1, 1), (1, 1, 1), (3, 0, 2), (3, 2, 0), (0, 0, 0)]
-)
+@pytest.mark.parametrize(("n", "m", "p"), [(0, 1, 1), (1, 1, 1), (3, 0, 2), (3, 2, 0), (0, 0, 0)])
 def test_degenerate_sizes(n: int, m: int, p: int) -> None:
     system = (-np.eye(n), np.ones((n, m)), np.ones((p, n)), np.ones((p, m)))
     found = frequency_response(system, [1.0, 2.0])

@@ -26,8 +26,13 @@ def after_delay(loop: tuple, samples: int) -> tuple:
     A, B, C, D, dt = loop
     n, d = len(A), samples
     shift, last = np.eye(d, k=-1), np.eye(1, d, d - 1)
-    return (np.block([[shift, np.zeros((d, n))], [B @ last, A]]),
-            np.vstack([np.eye(d, 1), np.zeros((n, 1))]), np.hstack([D @ last, C]), [[0.0]], dt)
+    return (
+        np.block([[shift, np.zeros((d, n))], [B @ last, A]]),
+        np.vstack([np.eye(d, 1), np.zeros((n, 1))]),
+        np.hstack([D @ last, C]),
+        [[0.0]],
+        dt,
+    )
 
 
 def held(loop: ct.TransferFunction, dt: float) -> tuple:
@@ -39,7 +44,11 @@ LOOPS: dict[str, Callable[[], tuple]] = {
     "1.002/(s - 1)": lambda: matrices(1.002 / (S - 1)),
     "1.001/(s + 1)": lambda: matrices(1.001 / (S + 1)),
     "two loci, one near 1": lambda: (
-        10 * ROTATION - 0.001 * np.eye(2), np.eye(2), [[1.0, 10], [-10, 1]], 0),
+        10 * ROTATION - 0.001 * np.eye(2),
+        np.eye(2),
+        [[1.0, 10], [-10, 1]],
+        0,
+    ),
     "lag and two samples": lambda: after_delay(held(5 / (100 * S + 1), 1.0), 2),
     "lag and 100 samples": lambda: after_delay(held(3.5 / (10 * S + 1), 0.01), 100),
     "(s + 1)/(s^2 + 2)": lambda: matrices((S + 1) / (S**2 + 2)),
@@ -49,17 +58,35 @@ LOOPS: dict[str, Callable[[], tuple]] = {
 # None: not in the list. By hand where a formula stands beside it, else from the report, which had
 # them from another program.
 KNOWN = {
-    "1.002/(s - 1)": (1 / 1.002, 0.0, np.degrees(np.arctan(np.sqrt(1.002**2 - 1))),
-                      np.sqrt(1.002**2 - 1), 0.99867, None),
-    "1.001/(s + 1)": (np.inf, np.nan, 180 - np.degrees(np.arctan(np.sqrt(1.001**2 - 1))),
-                      np.sqrt(1.001**2 - 1), None, 2.0),
+    "1.002/(s - 1)": (
+        1 / 1.002,
+        0.0,
+        np.degrees(np.arctan(np.sqrt(1.002**2 - 1))),
+        np.sqrt(1.002**2 - 1),
+        0.99867,
+        None,
+    ),
+    "1.001/(s + 1)": (
+        np.inf,
+        np.nan,
+        180 - np.degrees(np.arctan(np.sqrt(1.001**2 - 1))),
+        np.sqrt(1.001**2 - 1),
+        None,
+        2.0,
+    ),
     "two loci, one near 1": (np.inf, np.nan, 5.7163, 0.04988, 0.15172, None),
     "lag and two samples": (12.478043, 0.63441, None, None, None, 1.6093),
     "lag and 100 samples": (4.6492, 1.624, None, None, None, None),
     "(s + 1)/(s^2 + 2)": (np.inf, np.nan, None, None, None, None),
     # loci (1 +- 10j)/(s -+ 10j): |lambda| = 1 at sqrt(101) -+ 10.
-    "undamped 2 x 2": (np.inf, np.nan, np.degrees(np.arctan(0.1)), np.sqrt(101) - 10,
-                       (np.pi - np.arctan(0.1)) / (np.sqrt(101) + 10), None),
+    "undamped 2 x 2": (
+        np.inf,
+        np.nan,
+        np.degrees(np.arctan(0.1)),
+        np.sqrt(101) - 10,
+        (np.pi - np.arctan(0.1)) / (np.sqrt(101) + 10),
+        None,
+    ),
 }
 
 
@@ -70,21 +97,28 @@ def test_known_margins(name: str) -> None:
     assert found.closed_loop_stable
     assert found.gain_margin == pytest.approx(gm, rel=1e-5)
     assert found.gain_margin_frequency == pytest.approx(gm_w, rel=1e-3, nan_ok=True)
-    for got, true in ((found.phase_margin, pm), (found.phase_margin_frequency, pm_w),
-                      (found.delay_margin, dm), (found.disk_margin, disk)):
+    for got, true in (
+        (found.phase_margin, pm),
+        (found.phase_margin_frequency, pm_w),
+        (found.delay_margin, dm),
+        (found.disk_margin, disk),
+    ):
         if true is not None:
             assert got == pytest.approx(true, rel=1e-4)
 
 
-@pytest.mark.parametrize(("name", "wrong"), [
-    ("1.002/(s - 1)", lambda gain, phase, delay: phase == delay == np.inf),
-    ("1.001/(s + 1)", lambda gain, phase, delay: phase == delay == np.inf),
-    ("two loci, one near 1", lambda gain, phase, delay: phase > 170),
-    ("lag and two samples", lambda gain, phase, delay: abs(gain / 12.478 - 1) > 1),
-    ("lag and 100 samples", lambda gain, phase, delay: abs(gain / 4.649 - 1) > 1),
-    ("(s + 1)/(s^2 + 2)", lambda gain, phase, delay: gain < 1e-9),
-    ("undamped 2 x 2", lambda gain, phase, delay: gain < 1e-9),
-])
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("1.002/(s - 1)", lambda gain, phase, delay: phase == delay == np.inf),
+        ("1.001/(s + 1)", lambda gain, phase, delay: phase == delay == np.inf),
+        ("two loci, one near 1", lambda gain, phase, delay: phase > 170),
+        ("lag and two samples", lambda gain, phase, delay: abs(gain / 12.478 - 1) > 1),
+        ("lag and 100 samples", lambda gain, phase, delay: abs(gain / 4.649 - 1) > 1),
+        ("(s + 1)/(s^2 + 2)", lambda gain, phase, delay: gain < 1e-9),
+        ("undamped 2 x 2", lambda gain, phase, delay: gain < 1e-9),
+    ],
+)
 def test_naive_margins_of_a_grid(name: str, wrong: Callable) -> None:
     """Sign changes on a grid from a decade below the slowest root to one above the fastest."""
     assert wrong(*naive.grid_margins(*LOOPS[name]()))

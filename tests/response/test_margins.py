@@ -48,8 +48,9 @@ def test_lag_with_pade_delay(order: int) -> None:
     assert found.phase_margin == pytest.approx(180 - np.degrees(lag(np.sqrt(8))), rel=EXACT)
     crossing = brentq(lambda w: lag(w) - np.pi, 0.1, 8.0, xtol=1e-14)
     # Of all crossings the nearest to 1 in ratio is the first one here.
-    assert found.phase_crossings[0] == pytest.approx([crossing, np.hypot(1, crossing) / 3],
-                                                     rel=EXACT)
+    assert found.phase_crossings[0] == pytest.approx(
+        [crossing, np.hypot(1, crossing) / 3], rel=EXACT
+    )
     assert found.gain_margin == pytest.approx(np.hypot(1, crossing) / 3, rel=EXACT)
 
 
@@ -299,10 +300,18 @@ def test_every_change_of_stability_is_a_phase_crossing(seed: int, dt: float) -> 
 def test_integrators_outside_the_loop_are_set_apart() -> None:
     # 1/(s (s + 1)(s + 2)) and beside it a position the loop does not see, and one it cannot move.
     A, B, C, D = (np.asarray(M) for M in ct.ssdata(ss(1 / (S * (S + 1) * (S + 2)))))
-    unseen = (np.block([[A, np.zeros((3, 1))], [C, np.zeros((1, 1))]]),
-              np.vstack([B, [[0.0]]]), np.hstack([C, [[0.0]]]), D)
-    unmoved = (sla.block_diag(unseen[0], [[0.0]]), np.vstack([unseen[1], [[0.0]]]),
-               np.hstack([unseen[2], [[1.0]]]), D)
+    unseen = (
+        np.block([[A, np.zeros((3, 1))], [C, np.zeros((1, 1))]]),
+        np.vstack([B, [[0.0]]]),
+        np.hstack([C, [[0.0]]]),
+        D,
+    )
+    unmoved = (
+        sla.block_diag(unseen[0], [[0.0]]),
+        np.vstack([unseen[1], [[0.0]]]),
+        np.hstack([unseen[2], [[1.0]]]),
+        D,
+    )
     for L, count in ((unseen, 1), (unmoved, 2)):
         found = margins(L)
         assert found.integrators == count

@@ -30,8 +30,9 @@ def sampled(system: tuple, dt: float = 0.1) -> tuple:
     return sla.expm(A * dt), B, C, D, dt
 
 
-@pytest.mark.parametrize(("n", "r", "s"), [(1, 1.5, 1.5), (5, 1.5, 1.5), (10, 1.5, 1.5),
-                                           (10, 1.1, 2.0), (20, 1.2, 1.2)])
+@pytest.mark.parametrize(
+    ("n", "r", "s"), [(1, 1.5, 1.5), (5, 1.5, 1.5), (10, 1.5, 1.5), (10, 1.1, 2.0), (20, 1.2, 1.2)]
+)
 def test_lyapunov_with_exact_solution(n: int, r: float, s: float) -> None:
     # CTLEX 4.1: condition grows with r and s; the error may exceed eps by it, the residual not.
     A, c, X = gallery.ctlex41(n, r, s)
@@ -60,13 +61,15 @@ def test_gramian_residuals(n: int, time: str) -> None:
         assert np.all(np.linalg.eigvalsh(gramian.matrix) > -1e-12) if n else True
         P, residual = lyapunov(
             system[0] if gramian.kind == "controllability" else system[0].T,
-            system[1] @ system[1].T if gramian.kind == "controllability"
+            system[1] @ system[1].T
+            if gramian.kind == "controllability"
             else system[2].T @ system[2],
             discrete=time == "discrete",
         )
         assert residual < LAPACK * max(n, 1)
-        np.testing.assert_allclose(P, gramian.matrix, rtol=1e-8,
-                                   atol=1e-10 * np.abs(P).max(initial=1.0))
+        np.testing.assert_allclose(
+            P, gramian.matrix, rtol=1e-8, atol=1e-10 * np.abs(P).max(initial=1.0)
+        )
 
 
 def test_norms_in_closed_form() -> None:
@@ -135,8 +138,12 @@ def test_against_pymor_examples() -> None:
     assert float(h2_norm(system)) == pytest.approx(float(model.h2_norm()), rel=1e-7)
     np.testing.assert_allclose(hankel_singular_values(system)[:6], model.hsv()[:6], rtol=1e-6)
     # Penzl's example, scaled down: poles known, response 1000 times over in pyMOR's own terms.
-    A = sla.block_diag([[-1, 100], [-100, -1]], [[-1, 200], [-200, -1]], [[-1, 400], [-400, -1]],
-                       -np.diag(np.arange(1.0, 41)))
+    A = sla.block_diag(
+        [[-1, 100], [-100, -1]],
+        [[-1, 200], [-200, -1]],
+        [[-1, 400], [-400, -1]],
+        -np.diag(np.arange(1.0, 41)),
+    )
     B = np.concatenate([10 * np.ones(6), np.ones(40)])[:, None]
     found = frequency_response((A, B, B.T, [[0.0]]), np.array([1.0, 100.0, 300.0]))
     penzl = LTIModel.from_matrices(A, B, B.T)
@@ -150,8 +157,9 @@ def test_hankel_values_of_a_lag_and_their_invariance() -> None:
     T = 2.0 ** np.arange(-40, 40, 10)
     A, B, C, D = plain
     scaled = (A * T[:, None] / T, B * T[:, None], C / T, D)
-    np.testing.assert_allclose(hankel_singular_values(scaled), hankel_singular_values(plain),
-                               rtol=1e-9)
+    np.testing.assert_allclose(
+        hankel_singular_values(scaled), hankel_singular_values(plain), rtol=1e-9
+    )
     # Factors, not products: values far below sqrt(eps) of the first keep digits.
     slow = (-np.diag([1.0, 2.0]), [[1.0], [1e-6]], [[1.0, 1e-6]], [[0.0]])
     assert hankel_singular_values(slow)[1] == pytest.approx(0.25e-12 * (1 - 8 / 9), rel=1e-3)

@@ -53,8 +53,16 @@ def test_bad_systems_are_refused(name: str) -> None:
     A, B, C, D = gallery.random_stable(3, 1, 1, 0)
     bad = A.copy()
     bad[1, 2] = np.nan
-    for system in ((bad, B, C, D), (A, B, C * np.inf, D), (A[:2], B, C, D), (A, B, C[:, :1], D),
-                   (A, B, C), (A, B, C, D, -0.1), "plant", None):
+    for system in (
+        (bad, B, C, D),
+        (A, B, C * np.inf, D),
+        (A[:2], B, C, D),
+        (A, B, C[:, :1], D),
+        (A, B, C),
+        (A, B, C, D, -0.1),
+        "plant",
+        None,
+    ):
         with pytest.raises(CellsysError), np.errstate(invalid="ignore"):
             CALLS[name](system)
 
@@ -96,5 +104,6 @@ def test_source_keeps_the_rules_of_the_house() -> None:
         assert len(text.splitlines()) <= 400, path.name
         assert not re.search(r"^\s*assert\b", text, re.MULTILINE), path.name
         assert not re.search(r"\bp?inv\(|except:", text), path.name
-        assert not re.search(r"^(import|from) (control|matplotlib|casadi|numba)", text,
-                             re.MULTILINE), path.name
+        assert not re.search(
+            r"^(import|from) (control|matplotlib|casadi|numba)", text, re.MULTILINE
+        ), path.name

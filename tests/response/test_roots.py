@@ -132,8 +132,10 @@ def test_poles_and_zeros_do_not_depend_on_units() -> None:
 
 
 def test_degenerate_sizes() -> None:
-    for system in ((np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))),
-                   (-np.eye(2), np.zeros((2, 0)), np.ones((1, 2)), np.zeros((1, 0)))):
+    for system in (
+        (np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))),
+        (-np.eye(2), np.zeros((2, 0)), np.ones((1, 2)), np.zeros((1, 0))),
+    ):
         assert len(zeros(system)) == 0
         assert len(poles(system)) == len(system[0])
         assert len(damping(system)) == len(system[0])
@@ -201,8 +203,17 @@ def outcome(call: Any, *args: Any) -> Any:
 
 def calls_of_numpy(plain: np.ndarray) -> Iterator[tuple[str, Any]]:
     """Functions of numpy that take an array, and methods of one as functions."""
-    left_out = ("info", "save", "asanyarray", "require", "empty", "tofile", "dump", "view",
-                "setflags")
+    left_out = (
+        "info",
+        "save",
+        "asanyarray",
+        "require",
+        "empty",
+        "tofile",
+        "dump",
+        "view",
+        "setflags",
+    )
     names = {name for name in dir(np) if callable(getattr(np, name))}
     for name in sorted(names - {n for n in names if isinstance(getattr(np, n), type)}):
         if not name.startswith(("_", "show_", "source", "test", *left_out)):
@@ -240,15 +251,19 @@ def test_numpy_takes_poles_like_any_array() -> None:
 
 
 def test_systems_of_scipy_are_taken() -> None:
-    for given, dt in ((scipy.signal.TransferFunction([1, 2], [1, 3, 4]), 0.0),
-                      (scipy.signal.TransferFunction([1, 2], [1, 3, 4], dt=0.1), 0.1),
-                      (scipy.signal.StateSpace([[-3, -4], [1, 0]], [[1], [0]], [[1, 2]], 0), 0.0)):
+    for given, dt in (
+        (scipy.signal.TransferFunction([1, 2], [1, 3, 4]), 0.0),
+        (scipy.signal.TransferFunction([1, 2], [1, 3, 4], dt=0.1), 0.1),
+        (scipy.signal.StateSpace([[-3, -4], [1, 0]], [[1], [0]], [[1, 2]], 0), 0.0),
+    ):
         assert apart(poles(given), np.roots([1, 3, 4])) < 1e-14
         assert apart(zeros(given), [-2]) < 1e-14
         assert poles(given).dt == dt
         assert margins(given).gain_margin > 0
-    for given, message in ((scipy.signal.ZerosPolesGain([1], [-1], 1), "to_ss"),
-                           (scipy.signal.TransferFunction([[1], [2]], [1, 2]), "several channels"),
-                           (scipy.signal.TransferFunction([1, 0, 0], [1, 2]), "improper")):
+    for given, message in (
+        (scipy.signal.ZerosPolesGain([1], [-1], 1), "to_ss"),
+        (scipy.signal.TransferFunction([[1], [2]], [1, 2]), "several channels"),
+        (scipy.signal.TransferFunction([1, 0, 0], [1, 2]), "improper"),
+    ):
         with pytest.raises(ParameterError, match=message):
             poles(given)

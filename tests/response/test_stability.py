@@ -153,8 +153,14 @@ def test_integrators_of_position_are_named_and_set_apart() -> None:
     A = np.array([[0.0, 0, 1, 0], [0, 0, 0, 1], [0, 0, -1, 0.5], [0, 0, -0.5, -2]])
     import control as ct
 
-    plant = ct.ss(A, np.zeros((4, 1)), np.zeros((1, 4)), 0, 0,
-                  states=["centre.x", "centre.y", "speed.x", "speed.y"])
+    plant = ct.ss(
+        A,
+        np.zeros((4, 1)),
+        np.zeros((1, 4)),
+        0,
+        0,
+        states=["centre.x", "centre.y", "speed.x", "speed.y"],
+    )
     found = stability(plant)
     assert found.verdict == MARGINAL
     assert str(found).startswith("marginal: stable apart from its integrators: every pole")
@@ -193,8 +199,10 @@ def test_integrators_in_series_are_unstable_and_counted(length: int, growth: str
 
 def test_an_integrator_is_marginal() -> None:
     # 1/s and 1/(s (s + 1)): a step makes them grow for ever.
-    for A, reason in (([[0.0]], "no poles besides integrators"),
-                      ([[0.0, 1.0], [0.0, -1.0]], "every pole lies inside")):
+    for A, reason in (
+        ([[0.0]], "no poles besides integrators"),
+        ([[0.0, 1.0], [0.0, -1.0]], "every pole lies inside"),
+    ):
         found = stability(np.array(A))
         assert found.verdict == "marginal: stable apart from its integrators"
         assert found.reason.startswith(reason)

@@ -32,8 +32,9 @@ S = ct.tf("s")
 def test_step_and_impulse_of_a_lag_are_exact() -> None:
     lag = ct.ss(3 / (S + 2))
     t = np.array([0.0, 0.1, 0.35, 2.0, 5.0])
-    np.testing.assert_allclose(step_response(lag, t).y[:, 0, 0], 1.5 * (1 - np.exp(-2 * t)),
-                               atol=1e-15)
+    np.testing.assert_allclose(
+        step_response(lag, t).y[:, 0, 0], 1.5 * (1 - np.exp(-2 * t)), atol=1e-15
+    )
     np.testing.assert_allclose(impulse_response(lag, t).y[:, 0, 0], 3 * np.exp(-2 * t), rtol=1e-14)
     late = step_response(lag, t[2:])
     np.testing.assert_allclose(late.y[:, 0, 0], 1.5 * (1 - np.exp(-2 * t[2:])), rtol=1e-14)
@@ -69,8 +70,9 @@ def test_discrete_responses() -> None:
     t = np.arange(5) * 0.1
     np.testing.assert_allclose(impulse_response(system, t).y[:, 0, 0], [3, 2, 1, 0.5, 0.25])
     np.testing.assert_allclose(step_response(system, t).y[:, 0, 0], [3, 5, 6, 6.5, 6.75])
-    np.testing.assert_allclose(forced_response(system, t, [1, 0, 0, 0, 0]).y[:, 0],
-                               [3, 2, 1, 0.5, 0.25])
+    np.testing.assert_allclose(
+        forced_response(system, t, [1, 0, 0, 0, 0]).y[:, 0], [3, 2, 1, 0.5, 0.25]
+    )
     np.testing.assert_allclose(step_response(system, t[[1, 3]]).y[:, 0, 0], [5, 6.5])
     with pytest.raises(ParameterError, match="multiples"):
         step_response(system, [0.0, 0.15])
@@ -95,8 +97,12 @@ def test_default_times_and_shapes() -> None:
 
 def test_time_refusals() -> None:
     lag = gallery.lag_chain(1, 1.0)
-    for t, error in (([1.0, 0.5], ParameterError), ([-1.0, 0], ParameterError),
-                     ([0.0, np.nan], DataError), ([], DimensionError)):
+    for t, error in (
+        ([1.0, 0.5], ParameterError),
+        ([-1.0, 0], ParameterError),
+        ([0.0, np.nan], DataError),
+        ([], DimensionError),
+    ):
         with pytest.raises(error, match="t "):
             step_response(lag, t)
     with pytest.raises(DimensionError, match="u must have shape"):
@@ -110,28 +116,48 @@ def test_time_refusals() -> None:
 
 
 def test_sampling_keeps_names_and_comes_back() -> None:
-    plant = ct.ss([[0.0, 1], [-2, -0.5]], [[0.0], [1]], [[1.0, 0]], [[0.0]], 0, states=["x", "v"],
-                  inputs=["force"], outputs=["place"])
+    plant = ct.ss(
+        [[0.0, 1], [-2, -0.5]],
+        [[0.0], [1]],
+        [[1.0, 0]],
+        [[0.0]],
+        0,
+        states=["x", "v"],
+        inputs=["force"],
+        outputs=["place"],
+    )
     for method in (None, Tustin(), Tustin(match=2.0)):
         there = c2d(plant, 0.2) if method is None else c2d(plant, 0.2, method)
         assert there.dt == 0.2
         assert (there.state_labels, there.input_labels, there.output_labels) == (
-            ["x", "v"], ["force"], ["place"])
+            ["x", "v"],
+            ["force"],
+            ["place"],
+        )
         back = d2c(there) if method is None else d2c(there, method)
         assert (back.dt, back.state_labels) == (0, ["x", "v"])
         omega = np.geomspace(0.1, 10, 9)
-        np.testing.assert_allclose(frequency_response(back, omega).response,
-                                   frequency_response(plant, omega).response, rtol=1e-10)
+        np.testing.assert_allclose(
+            frequency_response(back, omega).response,
+            frequency_response(plant, omega).response,
+            rtol=1e-10,
+        )
     # Zero-order hold: poles map by the exponential, the step agrees at the samples.
     there = c2d(plant, 0.2)
-    np.testing.assert_allclose(np.sort_complex(poles(there)),
-                               np.sort_complex(np.exp(0.2 * np.asarray(poles(plant)))), rtol=1e-13)
+    np.testing.assert_allclose(
+        np.sort_complex(poles(there)),
+        np.sort_complex(np.exp(0.2 * np.asarray(poles(plant)))),
+        rtol=1e-13,
+    )
     t = np.arange(20) * 0.2
     np.testing.assert_allclose(step_response(there, t).y, step_response(plant, t).y, atol=1e-14)
     # Tustin matched at 2 rad/s: equal there.
     warped = c2d(plant, 0.2, Tustin(match=2.0))
-    np.testing.assert_allclose(frequency_response(warped, [2.0]).response,
-                               frequency_response(plant, [2.0]).response, rtol=1e-12)
+    np.testing.assert_allclose(
+        frequency_response(warped, [2.0]).response,
+        frequency_response(plant, [2.0]).response,
+        rtol=1e-12,
+    )
 
 
 def test_sampling_refusals() -> None:
@@ -156,8 +182,9 @@ def test_badly_scaled_sampling() -> None:
     plain, scaled = gallery.mass_spring(4, damping=0.3), gallery.poorbal(1e80)
     one, two = c2d(plain, 0.5), c2d(scaled, 0.5)
     omega = np.geomspace(0.1, 5, 7)
-    np.testing.assert_allclose(frequency_response(two, omega).response,
-                               frequency_response(one, omega).response, rtol=1e-9)
+    np.testing.assert_allclose(
+        frequency_response(two, omega).response, frequency_response(one, omega).response, rtol=1e-9
+    )
 
 
 def test_root_locus_over_a_gain() -> None:
@@ -184,15 +211,20 @@ def test_root_locus_over_kappa() -> None:
         return np.block([[A, b], [kappa * row, -kappa * d * np.eye(1)]])
 
     kappa = 0.5
-    L = (np.block([[A, b], [np.zeros((1, 3))]]), np.array([[0.0], [0], [kappa]]),
-         np.hstack([-row, [[d]]]), np.zeros((1, 1)))
+    L = (
+        np.block([[A, b], [np.zeros((1, 3))]]),
+        np.array([[0.0], [0], [kappa]]),
+        np.hstack([-row, [[d]]]),
+        np.zeros((1, 1)),
+    )
     values = np.linspace(0.1, 40, 100)
     family, gain = root_locus(loop, values), root_locus(L, values / kappa)
     np.testing.assert_allclose(family.crossings / kappa, gain.crossings, rtol=1e-9)
     for here, there in zip(family.poles[::20], gain.poles[::20], strict=True):
         assert np.abs(here[:, None] - there[None]).min(axis=1).max() < 1e-9
-    assert root_locus(lambda k: np.array([[0, 1.0], [-1, 1 - k]]),
-                      np.linspace(0, 3, 31)).crossings == pytest.approx([1.0])
+    assert root_locus(
+        lambda k: np.array([[0, 1.0], [-1, 1 - k]]), np.linspace(0, 3, 31)
+    ).crossings == pytest.approx([1.0])
     with pytest.raises(ParameterError, match="needs values"):
         root_locus(loop)
     with pytest.raises(ParameterError, match="rise"):

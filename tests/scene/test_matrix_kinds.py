@@ -234,9 +234,7 @@ def test_a_bead_is_run_kept_and_read_back_and_the_fingerprint_knows_its_law(tmp_
 
 @pytest.mark.slow
 def test_a_study_of_a_sheet_draws_its_field(tmp_path):
-    scene = Scene.parse(
-        table({"kind": "sheet"}, [(-9, 0), (9, 0)], seconds=2), matrices=KINDS
-    )
+    scene = Scene.parse(table({"kind": "sheet"}, [(-9, 0), (9, 0)], seconds=2), matrices=KINDS)
     result = cs.study(scene, out=tmp_path, workers=1)
     assert (tmp_path / "figures" / "displacement_field.png").stat().st_size > 5000
     assert "sheet" not in result.summary  # the summary is that of every matrix under cells

@@ -95,6 +95,7 @@ def test_the_estimate_is_within_0_7_to_1_5_of_the_measured_peak(name):
 
 def test_what_the_estimate_grows_with():
     """By its parts: cells and nodes, their product with adhesions, the square with volumes."""
+
     def need(cells, nodes):
         return memory_need(Scene.parse(spread_out(cells, nodes))).resident - room.PROGRAM
 

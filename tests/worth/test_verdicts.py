@@ -29,8 +29,7 @@ def oscillator(samples=200, dt=0.1, omega=0.7, runs=1):
     t = dt * np.arange(samples)
     wide = np.random.default_rng(3).standard_normal((2, 4))
     return [
-        np.stack([np.cos(omega * t + i), np.sin(omega * t + i)], axis=1) @ wide
-        for i in range(runs)
+        np.stack([np.cos(omega * t + i), np.sin(omega * t + i)], axis=1) @ wide for i in range(runs)
     ]
 
 

@@ -110,9 +110,7 @@ class _CreepElement(Element):
 
     def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
         d = self.disc
-        pull_along(
-            d.position, s.nodes[MATRIX], d.fibres, self.lengths(s), self.tension(s), out[0]
-        )
+        pull_along(d.position, s.nodes[MATRIX], d.fibres, self.lengths(s), self.tension(s), out[0])
 
     def forget(self) -> None:
         self._bounds = None

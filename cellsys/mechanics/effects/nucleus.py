@@ -133,9 +133,7 @@ class _NucleusElement(Element):
         energy += area_forces(x, m.triangles, m.triangle_area, e.area, 0.0, inner)
         both = np.concatenate([s.nodes[self.array], x])
         force = np.zeros_like(both)
-        energy += line_forces(
-            both, self.links, self.link_length, e.filament, e.stiffening, force
-        )
+        energy += line_forces(both, self.links, self.link_length, e.filament, e.stiffening, force)
         outer += force[:n]
         inner += force[n:]
         return energy
@@ -180,5 +178,3 @@ class _NucleusElement(Element):
         lines = laplacian(len(x), m.edges, e.line * (1.0 + 3.0 * e.stiffening * excess))
         areas = laplacian(len(x), *area_bound(x, m.triangles, m.triangle_area, e.area, 0.0))
         return lines + areas + diagonal(load)
-
-

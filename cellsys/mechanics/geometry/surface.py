@@ -136,9 +136,7 @@ def contour(points: np.ndarray) -> Surface:
     )
 
 
-def _sides_that_cross(
-    x: np.ndarray, side: np.ndarray, longest: float
-) -> tuple[int, int] | None:
+def _sides_that_cross(x: np.ndarray, side: np.ndarray, longest: float) -> tuple[int, int] | None:
     """The first two sides of a contour that go through each other, if any do."""
     near = cKDTree(x + 0.5 * side).query_pairs(longest, output_type="ndarray")
     (i, j), (a, b) = near.T, x[near.T]

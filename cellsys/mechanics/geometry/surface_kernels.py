@@ -326,9 +326,7 @@ def deepest(x, tx, crossing, y, ty, across, face, vertex, longest, tolerance):
                 for m in range(3):
                     far += (piece[k, m] - c[m]) ** 2
                 reach = max(reach, far)
-                square = square_to_triangle(
-                    piece[k], y[ty[g, 0]], y[ty[g, 1]], y[ty[g, 2]], share
-                )
+                square = square_to_triangle(piece[k], y[ty[g, 0]], y[ty[g, 1]], y[ty[g, 2]], share)
                 bound = max(bound, square)
             bound = min(np.sqrt(reach) - d, np.sqrt(bound))
             if bound <= best + tolerance or held + 4 > stack.shape[0]:

@@ -196,10 +196,14 @@ class PortedCells(Drawable):
         the centroids integrate and are not part of it.
         """
         if self.certificate.holds:
-            poles = self._poles if self.n_states <= DENSE_LIMIT else pole_set(
-                [(self._continuous(sla.eigvals(self.model.A)), self.n_cells, np.nan)],
-                "poles of the free cells; the coupled ones are not computed at this size",
-                None,
+            poles = (
+                self._poles
+                if self.n_states <= DENSE_LIMIT
+                else pole_set(
+                    [(self._continuous(sla.eigvals(self.model.A)), self.n_cells, np.nan)],
+                    "poles of the free cells; the coupled ones are not computed at this size",
+                    None,
+                )
             )
             bounded = (
                 "bounded under bounded inputs"

@@ -31,9 +31,7 @@ class PortFlow:
         self.M, G = cells.whole
         K, cell = cells.n_cells, cells.model
         self.n_inputs = cell.B.shape[1]
-        self.drive = np.column_stack(
-            [G @ np.kron(np.eye(K), cell.B), G @ np.tile(cell.offset, K)]
-        )
+        self.drive = np.column_stack([G @ np.kron(np.eye(K), cell.B), G @ np.tile(cell.offset, K)])
         self._kept: dict[float, tuple[np.ndarray, np.ndarray]] = {}
 
     def flow(self, x: np.ndarray, c: np.ndarray, h: float) -> np.ndarray:

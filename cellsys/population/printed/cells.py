@@ -1,10 +1,10 @@
 """`CoupledCells`: K identical cells on one matrix as one linear system with its poles.
 
-    route       when
-    modal       every cell meets every other with one weight: two blocks, any K
-    graph       symmetric weights: one block per eigenvalue (master stability function)
-    dense       anything else with K m <= 4000
-    matrix-free anything else: simulate() and rightmost() only
+route       when
+modal       every cell meets every other with one weight: two blocks, any K
+graph       symmetric weights: one block per eigenvalue (master stability function)
+dense       anything else with K m <= 4000
+matrix-free anything else: simulate() and rightmost() only
 """
 
 from __future__ import annotations

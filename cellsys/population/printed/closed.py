@@ -81,6 +81,4 @@ def linearize(cells: Any, at: Any = None) -> CoupledLoop:
         )
         parts.append((sla.eigvals(M), int(n), block.omega))
     note = f"{cells.coupling.name}, closed loops about one common point"
-    return CoupledLoop(
-        pole_set(parts, note, None), cells.pole_set(), point.residual, cells.n_cells
-    )
+    return CoupledLoop(pole_set(parts, note, None), cells.pole_set(), point.residual, cells.n_cells)

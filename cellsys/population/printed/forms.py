@@ -56,9 +56,7 @@ class JoiningForm(PrintedForm):
         self.extra(model.order)
         if headings is not None and (headings.shape != (K,) or not np.all(np.isfinite(headings))):
             raise DimensionError(f"headings must be {K} finite angles in rad")
-        loop = loop_of(
-            model, request.controller, request.sensor, request.normalise, headings
-        )
+        loop = loop_of(model, request.controller, request.sensor, request.normalise, headings)
         return CoupledCells(model, K, self, request.graph, request.positions, headings, loop)
 
 

@@ -21,9 +21,7 @@ def plant_of(cells: Any, blocks: list[ModeBlock], coordinates: str) -> Any:
     coordinates : {"emergent", "isolated"}
     """
     if coordinates not in ("emergent", "isolated"):
-        raise ParameterError(
-            f"coordinates must be 'emergent' or 'isolated', got {coordinates!r}"
-        )
+        raise ParameterError(f"coordinates must be 'emergent' or 'isolated', got {coordinates!r}")
     K, m = cells.n_cells, cells.order
     _, B, _ = cells.matrices
     emergent = coordinates == "emergent"

@@ -78,9 +78,7 @@ class FieldSplit(Shown):
 
     def __str__(self) -> str:
         q = self.purely_field
-        text = (
-            f"{self.order} directions, {q} purely matrix (sigma <= {self.tol:.1e}"
-        )
+        text = f"{self.order} directions, {q} purely matrix (sigma <= {self.tol:.1e}"
         if 0 < q < self.order:
             text += f", the next 1 - lambda is {self.jump:.1e} times larger"
         text += ")"

@@ -73,9 +73,7 @@ def _norm2(M: np.ndarray) -> float:
     return scale * max(new, size)
 
 
-def kreiss_lower(
-    T: np.ndarray, values: np.ndarray, *, discrete: bool
-) -> tuple[float, complex]:
+def kreiss_lower(T: np.ndarray, values: np.ndarray, *, discrete: bool) -> tuple[float, complex]:
     """Lower bound of the Kreiss constant, and the point it comes from.
 
         K = sup Re z |(z I - A)^-1|  over Re z > 0      (sup (|z| - 1) |...| over |z| > 1);

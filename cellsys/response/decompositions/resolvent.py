@@ -76,8 +76,8 @@ class Resolvent:
     def with_accuracy(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """G (p, m, k) and a bound of the absolute error of each entry (p, m, k).
 
-            |dG_ij| <= backward ((|A|_F + |s|) |c_i R| |R b_j| + |c_i| |R b_j| + |c_i R| |b_j|)
-                       + eps (|D_ij| + 4 |G_ij|),     R = (s I - A)^-1
+        |dG_ij| <= backward ((|A|_F + |s|) |c_i R| |R b_j| + |c_i| |R b_j| + |c_i R| |b_j|)
+                   + eps (|D_ij| + 4 |G_ij|),     R = (s I - A)^-1
         """
         return self._evaluate(s, True)
 

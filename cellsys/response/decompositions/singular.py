@@ -102,7 +102,11 @@ def _level_set(A: np.ndarray, level: float, discrete: bool) -> np.ndarray:
 
 
 def distance_to_boundary(
-    A: np.ndarray, values: np.ndarray, *, discrete: bool, T: np.ndarray | None = None,
+    A: np.ndarray,
+    values: np.ndarray,
+    *,
+    discrete: bool,
+    T: np.ndarray | None = None,
     rtol: float = 1e-3,
 ) -> tuple[float, float, complex]:
     """min over the boundary of sigma_min(z I - A), from below, from above, and where.

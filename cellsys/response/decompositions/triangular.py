@@ -59,9 +59,7 @@ def solve(T: np.ndarray, s: np.ndarray, rhs: np.ndarray) -> np.ndarray:
     return X
 
 
-def response(
-    form: TriangularForm, s: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def response(form: TriangularForm, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """G = C (s I - A)^-1 B (p, m, k), norms of its state columns (m, k) and rows (p, k)."""
     X = solve(form.T, s, form.B)
     G = np.tensordot(form.C, X, 1).transpose(0, 2, 1)
