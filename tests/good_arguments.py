@@ -257,6 +257,8 @@ def blank(annotation: object) -> object:
     }  # fmt: skip
     if annotation in plain:
         return plain[annotation]
+    if annotation is np.random.Generator:
+        return np.random.default_rng(0)
     if origin is tuple:
         return tuple(blank(a) for a in inside if a is not Ellipsis)
     found = origin or annotation

@@ -175,6 +175,7 @@ def test_bad_model_files(command, call, model_file, tmp_path):
     refused(call(command, tmp_path), "cellsys")
 
 
+@pytest.mark.slow
 def test_bode_of_a_scheduled_model_along_time(call, model_file, tmp_path):
     from tests.cell.runs import model
 

@@ -123,6 +123,7 @@ def test_references_must_differ_and_agree(problem, references):
         work_precision(sweep, problem, (references[0], loose))
 
 
+@pytest.mark.slow
 def test_budget_of_a_loop_holds_on_other_headings():
     loop = make(3, m=10, gain=0.2)
     found = budget(loop, error=1e-4, t=T)

@@ -191,6 +191,7 @@ def test_estimates_cover_the_error_of_random_loops(method):
     assert np.mean(ratios < 20.0) >= 0.95
 
 
+@pytest.mark.slow
 def test_estimates_cover_the_error_of_a_few_loops():
     ratios = covered(range(12), Exponential(rtol=1e-5, atol=1e-5))
     assert np.mean(ratios >= 1.0) >= 0.9

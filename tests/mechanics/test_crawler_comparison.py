@@ -16,6 +16,7 @@ def found():
     return runpy.run_path(str(THESIS / "fig07_08_crawler.py"))["main"](quick=True)
 
 
+@pytest.mark.slow
 def test_as_printed_it_diverges(found):
     assert all(growth > 1.0 for growth in found["literal"].values())
     for name, row in found["rows"].items():
@@ -67,6 +68,7 @@ def test_complementary_projections(found):
     assert found["eq59"]["random"] > 1e-3
 
 
+@pytest.mark.slow
 def test_smooth_case():
     table = runpy.run_path(str(THESIS / "smooth_case.py"))["main"](quick=True)
     jacobian, plain = table["Jacobian at rest"], table["least squares, x only"]

@@ -196,6 +196,7 @@ def package_without(folder, names):
     return folder
 
 
+@pytest.mark.slow
 def test_a_build_without_the_files_of_absent_effects_gives_the_same_bits(tmp_path):
     """The standard scene, with all files of effects it does not name taken out of the package."""
     tables = [tiny(*STANDARD)]

@@ -66,6 +66,7 @@ def test_several_cells_are_run_beside_each_alone(tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_model_of_one_cell_runs_beside_them(tmp_path):
     given = trained()
     apart = pair(**{'sample = "5 s"\nseed': 'sample = "10 s"\nseed'})
@@ -95,6 +96,7 @@ def test_a_model_of_one_cell_runs_beside_them(tmp_path):
     assert not any((tmp_path / name).exists() for name in "bcd")
 
 
+@pytest.mark.slow
 def test_commanded_cells_follow_their_commands(tmp_path):
     told = {
         "[effects]": PAIR.replace(
@@ -112,6 +114,7 @@ def test_commanded_cells_follow_their_commands(tmp_path):
     np.testing.assert_allclose(angle, [11.25, 33.75, 56.25, 78.75], atol=1e-9)  # step means
 
 
+@pytest.mark.slow
 def test_it_ends_at_contact_and_controls_are_as_long(tmp_path):
     close = PAIR.replace("-6 um", "-4.2 um").replace('"6 um"', '"4.2 um"')
     close = close.replace('"60 deg"', '"0 deg"').replace('"-90 deg"', '"180 deg"')

@@ -223,9 +223,9 @@ def coupled_system(
 
     `emergent`: one whose samples are emergent latent states, for `CoupledCells.simulate`.
     """
-    whole, loop = Whole(cells, modal=emergent), cells.loop
     K, m = cells.n_cells, cells.order
-    z, p = initial(cells, z0, p0)
+    z, p = initial(cells, z0, p0)  # first: it refuses what no memory holds
+    whole, loop = Whole(cells, modal=emergent), cells.loop
     n_c = whole.B.shape[1]
     blocks = [Block("x", (K, m))]
     start = whole.start(z).ravel()
