@@ -8,6 +8,7 @@ from math import isfinite
 
 import numpy as np
 
+from cellsys.arguments import checked, unchecked
 from cellsys.errors import IntegrationError, ParameterError
 from cellsys.system import Event, OdeSystem
 from cellsys.units import real_number
@@ -43,6 +44,7 @@ def cuts(t0: float, t1: float, step: float, stops: np.ndarray) -> np.ndarray:
     return np.concatenate(times)
 
 
+@checked
 class Stepper:
     """State of a fixed-step run between two samples.
 
@@ -62,17 +64,21 @@ class Stepper:
         names = ("steps", "rejected", "rhs", "jacobians", "factorisations", "solves")
         self.statistics = dict.fromkeys(names, 0)
 
+    @unchecked
     def memory(self) -> dict[str, np.ndarray]:
         """Arrays that the next interval depends on, apart from t and x."""
         return {}
 
+    @unchecked
     def restore(self, memory: dict[str, np.ndarray]) -> None:
         """Take back what `memory` gave."""
 
+    @unchecked
     def take_step(self, t: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
         """One step from (t, self.x); returns eta and u of the step."""
         raise NotImplementedError
 
+    @unchecked
     def advance(self, t1: float) -> tuple[np.ndarray, np.ndarray]:
         """Move to t1; returns the averages of eta (n_eta,) and u (n,) over the interval."""
         t0 = self.t
