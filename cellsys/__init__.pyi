@@ -85,6 +85,7 @@ from .observe import (
     observe_pair,
     pair_of,
     pair_regions,
+    read_outs,
     speed_against_spacing,
     summary_of_run,
     until_contact,

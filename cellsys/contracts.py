@@ -6,7 +6,7 @@ function it is held by `cellsys.arguments`; `needs` holds it anywhere else.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -22,8 +22,10 @@ __all__ = [
     "LinearModel",
     "LinearSystem",
     "LoadPort",
+    "Loop",
     "MatrixField",
     "MatrixKind",
+    "ReadOut",
     "ReducedModel",
     "Reductor",
     "Regression",
@@ -239,6 +241,29 @@ class SteppedField(MatrixField, Protocol):
 
     def memory(self) -> Any:
         """What steps in a row keep for each other."""
+
+
+class Loop(Protocol):
+    """A closed loop of plant, controller and sensor, made by cs.closed_loop(model)."""
+
+    @property
+    def order(self) -> int:
+        """m of the plant."""
+
+    def simulate(self, t: np.ndarray, integrator: Integrator | None = None) -> Trajectory:
+        """A run at the times t, s; an integrator that cannot serve is refused."""
+
+    def linearize(self, at: Any = None, *, slower_than: float = 0.0) -> Any:
+        """The loop about a point."""
+
+    def open_loop(self, at: Any = None) -> Any:
+        """The loop cut open at the polarity, as a control.StateSpace: a margin is one on kappa."""
+
+
+ReadOut = Annotated[
+    Callable[[Trajectory], Mapping[str, float]],
+    "a function of a run that returns numbers by name, such as cs.read_outs",
+]
 
 
 class Cells(Protocol):

@@ -13,6 +13,7 @@ import cellsys as cs
 from cellsys.contracts import (
     ChoosesOrder,
     LinearModel,
+    Loop,
     ReducedModel,
     Reductor,
     Regression,
@@ -166,3 +167,25 @@ def test_the_integrator_of_the_readme_runs():
     assert errors[0] == pytest.approx(4.0 * errors[1], rel=0.2)
     with pytest.raises(ParameterError, match="integrator must be an integrator"):
         loop.simulate(t, SimpleNamespace(step=1.0))
+
+
+def test_loops_and_read_outs_of_ones_own():
+    loop = cs.closed_loop(latent(steered=True))
+    for one in (loop, cs.closed_loop(equivariant())):
+        needs(one, Loop, "loop")
+    with pytest.raises(ParameterError, match="loop must be a closed loop"):
+        needs(latent(), Loop, "loop")
+    run = loop.simulate(np.arange(0.0, 20.0, 5.0), cs.DOP853(rtol=1e-6, atol=1e-8))
+
+    def turned(run):
+        return {"turned_rad": float(np.ptp(np.unwrap(np.arctan2(run.p[:, 0, 1], run.p[:, 0, 0]))))}
+
+    found = cs.read_outs(run, [turned])
+    assert found["turned_rad"] > 0
+    assert cs.read_outs(run) == {k: v for k, v in found.items() if k != "turned_rad"}
+    with pytest.raises(ParameterError, match="is there already"):
+        cs.read_outs(run, [turned, turned])
+    with pytest.raises(ParameterError, match="must be a finite real number"):
+        cs.read_outs(run, [lambda run: {"name": "text"}])
+    with pytest.raises(ParameterError, match="more"):
+        cs.read_outs(run, [3])

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from cellsys.arguments import checked
+from cellsys.contracts import ReadOut
+from cellsys.errors import ParameterError
 from cellsys.observe.headings import heading_change_deg
 from cellsys.observe.spreading import centre_height, contact_radius, crawl_distance
 from cellsys.trajectory import Trajectory, cell_names
+from cellsys.units import real_number
 
 
 @checked
-def read_outs(run: Trajectory) -> dict[str, float]:
+def read_outs(run: Trajectory, more: Sequence[ReadOut] = ()) -> dict[str, float]:
     """Means over the cells of a run; what a run does not have is left out.
+
+    Parameters
+    ----------
+    run : Trajectory
+    more : sequence of functions of a run, optional
+        Read-outs of your own, each a mapping of name to number; their names are new ones and end
+        with the unit.
 
     Returns
     -------
@@ -22,6 +34,11 @@ def read_outs(run: Trajectory) -> dict[str, float]:
         chain is that of the middle between lead and trail. ``matrix_displacement_max_um`` over all
         nodes and samples, ``matrix_displacement_rms_end_um`` over the nodes at the last one, and
         ``heading_change_deg`` (how far cells turned, either way).
+
+    Raises
+    ------
+    ParameterError
+        A name that is there already, or a value that is no number.
     """
     out: dict[str, float] = {}
     paths = [run.block(f"{name}.position") for name in cell_names(run.states)]
@@ -42,6 +59,11 @@ def read_outs(run: Trajectory) -> dict[str, float]:
             out["matrix_displacement_rms_end_um"] = float(np.sqrt(np.mean(size[-1] ** 2)))
     if run.p is not None:
         out["heading_change_deg"] = float(np.abs(heading_change_deg(run.p)).mean())
+    for own in more:
+        for name, value in own(run).items():
+            if name in out:
+                raise ParameterError(f"read-out {name!r} is there already; give yours another name")
+            out[name] = real_number(value, f"read-out {name!r}")
     return out
 
 
