@@ -56,3 +56,9 @@ def raw_rows(path, columns):
     """Rows of an array file by its length alone: what was cut off is not missed."""
     numbers = np.frombuffer(path.read_bytes()[128:][: (path.stat().st_size - 128) // 8 * 8])
     return numbers[: len(numbers) // columns * columns].reshape(-1, columns)
+
+
+def first_column_is_time(path):
+    """(dt, samples) of a table whose first line is a header and whose first column is time in s."""
+    rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+    return rows[1, 0] - rows[0, 0], rows[:, 1:]

@@ -11,6 +11,7 @@ from cellsys.errors import CellsysError, DataError, DimensionError, FileFormatEr
 from cellsys.reduction import LeastSquares, reduce
 from cellsys.response import poles
 from cellsys.samples import snapshots
+from tests import naive_files
 
 T = np.arange(40) * 0.5
 X = np.exp(-0.2 * T)  # one pole at -0.2 1/s
@@ -57,6 +58,7 @@ def test_another_first_column_is_no_time(tmp_path, head):
         snapshots([path])
     data = snapshots([path], dt=0.5)
     assert (data.dt, list(data.states.names)) == (0.5, head.split(","))
+    assert naive_files.first_column_is_time(path)[0] == 1.0  # of a number that only counts
 
 
 def test_without_a_header_every_row_is_a_sample(tmp_path):
@@ -64,6 +66,7 @@ def test_without_a_header_every_row_is_a_sample(tmp_path):
     with pytest.raises(ParameterError, match="dt is missing"):
         snapshots([path])
     assert np.array_equal(snapshots([path], dt=0.5).runs[0].x, np.column_stack([X, X**2]))
+    assert len(naive_files.first_column_is_time(path)[1]) == len(X) - 1  # the first one is lost
 
 
 @pytest.mark.parametrize("between", [";", "\t"])
