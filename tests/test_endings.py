@@ -46,8 +46,10 @@ def start():
 
     def begin(*arguments, ignored=(), **options):
         def dispositions():
-            # A shell that runs the tests in the background hands down SIGINT as ignored.
-            signal.signal(signal.SIGINT, signal.SIG_DFL)
+            # A shell that runs the tests in the background hands down SIGINT as ignored, nohup
+            # SIGHUP.
+            for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+                signal.signal(number, signal.SIG_DFL)
             for number in ignored:
                 signal.signal(number, signal.SIG_IGN)
 
