@@ -353,6 +353,7 @@ def test_exit_codes_of_a_real_process(tmp_path):
     assert run("schema").returncode == 0
 
 
+@pytest.mark.slow
 def test_interrupt_says_how_to_go_on(tmp_path):
     """Ctrl-C on a terminal reaches the workers as well: no tracebacks, no run called complete."""
     (tmp_path / "s.toml").write_text(tiny(replace={'"40 s"': '"4000 s"', "runs = 3": "runs = 2"}))

@@ -23,6 +23,7 @@ def commands(m, K=30, seed=0):
     return amplitude, heading, table
 
 
+@pytest.mark.slow
 def test_roll_out_turns_with_its_commands():
     """Exact: the matrices are real and the heading enters as e^{iq theta}."""
     m = model()
@@ -46,7 +47,10 @@ def test_predict_and_charges_agree():
     np.testing.assert_allclose(z, other, atol=1e-11)
 
 
-@pytest.mark.parametrize("order", [5, 9, 16, 40, 90])
+SLOW = [pytest.param(m, marks=pytest.mark.slow) for m in (40, 90)]
+
+
+@pytest.mark.parametrize("order", [5, 9, 16, *SLOW])
 def test_every_order_contracts(order):
     train, _ = data()
     m = cs.Equivariant(iterations=3, folds=0).fit(train, order)

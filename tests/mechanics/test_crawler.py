@@ -239,6 +239,7 @@ def test_stiff_chain_drag_wants_an_implicit_method():
     assert runs[0].statistics["rhs"] < 0.2 * runs[1].statistics["rhs"]
 
 
+@pytest.mark.slow
 def test_outcomes_have_a_reason():
     method = LSODA(rtol=1e-7, atol=1e-9)
     t = np.linspace(0, 20, 41)

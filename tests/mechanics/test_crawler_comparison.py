@@ -24,6 +24,7 @@ def test_as_printed_it_diverges(found):
             assert not row["mse"] < 1e6
 
 
+@pytest.mark.slow
 def test_the_identity_says_nothing_of_jumps(found):
     """With the jumping rows taken from W the cell stays where it is: hundreds of times worse."""
     rows = found["rows"]

@@ -61,7 +61,10 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name",
+    ["switching", *(pytest.param(n, marks=pytest.mark.slow) for n in ("clutch", "stiffening"))],
+)
 def test_majorant_bounds_the_tangent_until_the_next_look(name):
     system = small(**CASES[name])
     run = simulate(system, LinearlyImplicit(step=DT), np.array([0.0, 2.0, 30.0, 40.0]), seed=1)

@@ -243,6 +243,7 @@ def test_superposed_loads_are_exact_and_superposed_cells_are_not():
     assert np.abs(total - together.block("q")).max() > 1e-2 * np.abs(total).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [None, 10.0])
 def test_a_hundred_steered_cells_stay_bounded(dt):
     x, theta = places(100, 5)

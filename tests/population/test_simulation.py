@@ -276,7 +276,8 @@ def test_memory_grows_linearly_with_the_cells():
     assert peaks[1] < 6 * peaks[0]
 
 
-@pytest.mark.parametrize("graph", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("graph", [False, True])
+@pytest.mark.slow
 def test_the_estimate_covers_the_error(graph):
     """On the modal route, and on the dense one that the integrator takes as a whole."""
     weights = np.array([[0.0, 0.2, 0.1], [0.3, 0.0, 0.1], [0.0, 0.2, 0.0]])

@@ -119,7 +119,7 @@ def test_perturbation_of_the_distance_reaches_the_axis() -> None:
     assert np.abs(sla.eigvals(A + E) - z).min() < 1e-7
 
 
-@pytest.mark.parametrize("time", ["continuous", "discrete"])
+@pytest.mark.parametrize("time", ["continuous", pytest.param("discrete", marks=pytest.mark.slow)])
 def test_pseudospectral_abscissa_on_a_grid(time: str) -> None:
     A = gallery.grcar(8)
     system = discrete(A) if time == "discrete" else A

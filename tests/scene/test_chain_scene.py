@@ -201,6 +201,7 @@ def test_a_run_without_a_switch_is_cached_too(tmp_path):
     assert np.array_equal(run.x, run_scene(stuck, tmp_path).x)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drag", [0.5, 0.0005])
 def test_switch_times_within_1e_7_whatever_the_drag_of_the_nodes(drag):
     scene = dataclasses.replace(short(), matrix=ChainScene(drag=drag))
@@ -262,6 +263,7 @@ def test_a_study_that_fails_writes_nothing(tmp_path, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_command_line_runs_and_refuses(tmp_path):
     def cellsys(*words):
         return subprocess.run(

@@ -40,6 +40,7 @@ def pair(**more):
     return scene(tiny(replace={ONE: "", "[effects]": PAIR, **more}))
 
 
+@pytest.mark.slow
 def test_several_cells_are_run_beside_each_alone(tmp_path):
     result = cs.study(pair(), tmp_path / "out")
     files = {p.name for p in (tmp_path / "out").iterdir()}
@@ -250,6 +251,7 @@ def test_a_cell_without_a_lamellipodium_is_run_too(tmp_path):
     assert result.summary["cells"]["cell1"]["contact_radius_end_um"] > 0
 
 
+@pytest.mark.slow
 def test_the_command_takes_a_model(call, tmp_path):
     slower = {'sample = "5 s"\nseed': 'sample = "10 s"\nseed'}
     text = tiny(replace={ONE: "", "[effects]": PAIR, **slower})

@@ -147,6 +147,7 @@ def test_progress_names_its_stages(done):
         assert [share for s, share in stages if s == name][-1] == 1.0
 
 
+@pytest.mark.slow
 def test_second_call_reuses_the_runs_and_gives_the_same_numbers(done):
     result, out, _ = done
     runs = {p: p.stat().st_mtime_ns for p in (out / "runs").rglob("*")}
