@@ -253,10 +253,10 @@ class Loop(Protocol):
     def simulate(self, t: np.ndarray, integrator: Integrator | None = None) -> Trajectory:
         """A run at the times t, s; an integrator that cannot serve is refused."""
 
-    def linearize(self, at: Any = None, *, slower_than: float = 0.0) -> Any:
+    def linearize(self, at: object = None, *, slower_than: float = 0.0) -> object:
         """The loop about a point."""
 
-    def open_loop(self, at: Any = None) -> Any:
+    def open_loop(self, at: object = None) -> object:
         """The loop cut open at the polarity, as a control.StateSpace: a margin is one on kappa."""
 
 
