@@ -18,6 +18,9 @@ from cellsys.bondgraph.junctions import JunctionGraph
 from cellsys.bondgraph.laws import Laws, apply, shaped
 from cellsys.bondgraph.linearization import linearize
 from cellsys.bondgraph.state_equations import StateEquations
+from cellsys.bondgraph.structure import (
+    Structure as Structure,  # what the inherited __init__ is annotated with
+)
 from cellsys.bondgraph.structure import build
 from cellsys.bondgraph.writing import latex, text
 from cellsys.shown import Shown

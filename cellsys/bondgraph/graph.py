@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence as Sequence  # what the inherited __init__ is annotated with
 from dataclasses import dataclass
 from typing import ClassVar
 
 from cellsys.arguments import checked
+from cellsys.bondgraph.elements import (
+    BondElement as BondElement,  # what the inherited __init__ is annotated with
+)
 from cellsys.bondgraph.equations import Equations, derive
 from cellsys.bondgraph.junctions import JunctionGraph
 from cellsys.drawable import Drawable

@@ -10,17 +10,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated as Annotated  # what the inherited __init__ is annotated with
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
+import scipy.sparse as sp  # noqa: F401 (annotates the inherited __init__)
 
 from cellsys.arguments import checked
 from cellsys.contracts import Integrator
 from cellsys.errors import DimensionError, IntegrationError, ParameterError
 from cellsys.integrate.record import check_times
 from cellsys.integrate.symbolic import integrator_of
+from cellsys.kinds import Takes as Takes
+from cellsys.system import Block as Block
 from cellsys.system import Layout as Layout  # what the inherited __init__ is annotated with
+from cellsys.system import Matrix as Matrix
 from cellsys.system import OdeSystem
 from cellsys.units import shaped_array
 

@@ -14,7 +14,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np  # noqa: F401 (as above)
+
 from cellsys.arguments import checked
+from cellsys.contracts import LoadPort as LoadPort  # what the inherited __init__ is annotated with
+from cellsys.contracts import MatrixField as MatrixField
 from cellsys.errors import DimensionError, ParameterError, RepresentationError
 from cellsys.population.ported.capabilities import ChargedModel, PortedCell
 from cellsys.population.ported.equivariant_cells import EquivariantCells

@@ -10,6 +10,7 @@ With N = I + omega P and R = I + P_map (or given), per eigenvalue omega of the i
 
 from __future__ import annotations
 
+from collections.abc import Sequence as Sequence  # what the inherited __init__ is annotated with
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
