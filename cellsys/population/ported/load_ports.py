@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np  # noqa: F401 (as above)
+import numpy as np  # noqa: F401 (annotates the inherited __init__)
 
 from cellsys.arguments import checked
 from cellsys.contracts import LoadPort as LoadPort  # what the inherited __init__ is annotated with
