@@ -69,12 +69,13 @@ SCENES = {
     "a chain of 12 000 nodes": CHAIN,
 }
 PEAK = """
-import json, resource, sys
+import json, re, sys
 from cellsys.scene import Scene, run_scene
 from cellsys.scene.memory import memory_need
 scene = Scene.parse(json.loads(sys.stdin.read()))
 run_scene(scene)
-peak = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+# ru_maxrss would be that of the process that started this one, if it was larger.
+peak = 1024.0 * float(re.search(r"VmHWM:\\s+(\\d+) kB", open("/proc/self/status").read())[1])
 print(peak, memory_need(scene, on_disk=False).resident)
 """
 
