@@ -259,8 +259,8 @@ def polarity_element(site: Site) -> PolarityElement:
     return PolarityElement(
         site.body,
         site.commanded,
-        site.find(Polarity),
-        site.find(StiffnessSensing),
+        site.effects.get("polarity"),
+        site.effects.get("stiffness_sensing"),
         fibres,
     )
 
