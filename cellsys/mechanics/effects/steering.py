@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 
@@ -259,8 +259,9 @@ def polarity_element(site: Site) -> PolarityElement:
     return PolarityElement(
         site.body,
         site.commanded,
-        site.effects.get("polarity"),
-        site.effects.get("stiffness_sensing"),
+        # By name, not by class: a build without the law has no such class.
+        cast("Polarity | None", site.effects.get("polarity")),
+        cast("StiffnessSensing | None", site.effects.get("stiffness_sensing")),
         fibres,
     )
 
