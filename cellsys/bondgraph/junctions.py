@@ -60,27 +60,7 @@ class BondPort(NamedTuple):
 class JunctionGraph:
     """Elements, bonds and the structure that they make (thesis Table 1).
 
-    Parameters
-    ----------
-    elements : sequence of BondElement
-        R, C, I, Se, Sf, TF, GY, CField, ... and junctions Zero and One, each with its own name.
-    bonds : sequence of str
-        ``"supply -> circuit -> motor -> shaft"``: each arrow is a bond along which power is
-        counted positive. An arrow into a TF or GY is its input side, one out of it its output
-        side. ``"junction -> field.end"`` reaches one end of a multiport.
-    units : {"cell", "si"}
-        um, pN, s or coherent SI with electric units.
-    separate : bool
-        Allow parts that no bond connects; refused by default.
-    name : str
-        Title of prints and drawings.
-
-    Raises
-    ------
-    ParameterError
-        A name that is unknown or given twice, a bond between junctions of different shape.
-    CausalityError
-        A port left open, or a graph in several parts.
+    Parameters and errors are those of `BondGraph`.
     """
 
     elements: Sequence[BondElement]

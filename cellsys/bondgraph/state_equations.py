@@ -22,23 +22,7 @@ class StateEquations:
 
         dx/dt = W_x x + W_eta eta(t, x) + W_s s(t)
 
-    Attributes
-    ----------
-    graph : JunctionGraph
-    states, auxiliaries, inputs : Layout
-        x: displacement ``name.q`` of each C, momentum ``name.p`` of each I, positions of
-        junctions, internal states, in the order of the elements. eta: effort ``name.e`` or flow
-        ``name.f`` of each nonlinear law. s: the sources.
-    W_x, W_eta, W_s : sparse arrays (n, n), (n, n_eta), (n, n_inputs)
-        Constant; from the junction structure and the linear constants.
-    x0 : array (n,)
-    causality : dict
-        Bond name -> ``"tail"`` or ``"head"``: the end that imposes the effort. The causal stroke
-        is drawn at the other end.
-    dependent : tuple of str
-        Linear storages in derivative causality, eliminated.
-    loops : tuple of tuples of str
-        Algebraic loops among nonlinear resistors, solved at each evaluation.
+    Attributes are those of `Equations`.
     """
 
     graph: JunctionGraph

@@ -15,7 +15,7 @@ from cellsys.response.certainty import (
     spread_of,
     widened,
 )
-from cellsys.response.roots import RootSet, order
+from cellsys.response.roots import RootSet, poles_of
 from cellsys.response.spectrum import Spectrum, spectrum
 
 
@@ -68,16 +68,7 @@ def certainty_of(
 def pole_set(A: np.ndarray, dt: float | None, certainty: PoleCertainty | None) -> RootSet:
     """Continuous poles, 1/s, by falling real part; bounds the larger of rounding and data."""
     found = widened(continuous_spectrum(A, dt), certainty, 0.0)
-    rank = order(found.values)
-    detail = replace(
-        found,
-        values=found.values[rank],
-        condition=found.condition[rank],
-        bound=found.bound[rank],
-        cluster=found.cluster[rank],
-    )
-    note = "" if certainty is None else data_note(certainty)
-    return RootSet(detail.values, kind="pole", dt=0.0, detail=detail, note=note)
+    return poles_of(found, 0.0, "" if certainty is None else data_note(certainty))
 
 
 def fastest_growth(found: RootSet) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import wraps
 from typing import Any, ClassVar
 
@@ -178,6 +179,19 @@ for _name in (
 
 def _rebuild(values: np.ndarray, kind: str, dt: float, detail: Spectrum, note: str) -> RootSet:
     return RootSet(values, kind=kind, dt=dt, detail=detail, note=note)
+
+
+def poles_of(found: Spectrum, dt: float, note: str = "") -> RootSet:
+    """The eigenvalues of a system as poles, by falling real part, each with its bound."""
+    rank = order(found.values)
+    detail = replace(
+        found,
+        values=found.values[rank],
+        condition=found.condition[rank],
+        bound=found.bound[rank],
+        cluster=found.cluster[rank],
+    )
+    return RootSet(detail.values, kind="pole", dt=dt, detail=detail, note=note)
 
 
 def order(values: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
@@ -27,7 +27,7 @@ from cellsys.response.lyapunov import LyapunovCertificate, certificate
 from cellsys.response.poles import poles
 from cellsys.response.pseudospectra import Pseudospectra, abscissa, pseudospectra
 from cellsys.response.realization import balancing, realization
-from cellsys.response.roots import RootSet, order
+from cellsys.response.roots import RootSet, poles_of
 from cellsys.response.spectrum import Spectrum, backward_error, spectrum
 
 
@@ -292,24 +292,11 @@ def stability(
         integrators=apart,
         poles=poles(system, certainty=certainty)
         if apart.count
-        else _pole_set(found, system.dt, certainty),
+        else poles_of(found, system.dt, "" if certainty is None else data_note(certainty)),
         coordinates=coordinates,
         dt=system.dt,
         A=A,
     )
-
-
-def _pole_set(found: Spectrum, dt: float, certainty: PoleCertainty | None) -> RootSet:
-    rank = order(found.values)
-    detail = replace(
-        found,
-        values=found.values[rank],
-        condition=found.condition[rank],
-        bound=found.bound[rank],
-        cluster=found.cluster[rank],
-    )
-    note = "" if certainty is None else data_note(certainty)
-    return RootSet(detail.values, kind="pole", dt=dt, detail=detail, note=note)
 
 
 def _numerical(A: np.ndarray, *, discrete: bool) -> float:

@@ -218,8 +218,8 @@ def calls_of_numpy(plain: np.ndarray) -> Iterator[tuple[str, Any]]:
     for name in sorted(names - {n for n in names if isinstance(getattr(np, n), type)}):
         if not name.startswith(("_", "show_", "source", "test", *left_out)):
             yield f"numpy.{name}", getattr(np, name)
-    for name in dir(plain):
-        if not name.startswith(("_", "mT", *left_out)) and callable(getattr(plain, name)):
+    for name in dir(plain):  # older versions list methods that are gone and raise
+        if not name.startswith(("_", "mT", *left_out)) and callable(getattr(plain, name, None)):
             yield f".{name}", lambda array, *more, name=name: getattr(array, name)(*more)
 
 

@@ -20,19 +20,7 @@ from cellsys.units import real_array
 class Placement:
     """Where the ports of K cells touch one shared field.
 
-    Parameters
-    ----------
-    field : GalerkinField, full field or LinearField
-        Anything with order, drag, stiffness, nodes, surface, project.
-    positions : (K, 2) or (K, 3)
-        um.
-    headings : (K,), optional
-        rad; default 0.
-    port : PatchPort or other, optional
-        Gives E_k = gather(field, position, heading); default a patch of 8 um, in the plane. An
-        equivariant model brings its own.
-    allow_active : bool
-        Compute with a port of passivity index below -1e-10 instead of refusing it.
+    Parameters and errors are those of `LoadPorts`.
     """
 
     field: MatrixField
