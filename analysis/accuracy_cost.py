@@ -50,12 +50,12 @@ def latent_loop(m, seed=3):
     K_d[:, 1:] *= 0.1
     K_d[2] = 0.0
     model = cs.LatentModel(
-        A,
+        A=A,
         B=0.1 * rng.standard_normal((m, 4)),
         offset=0.02 * rng.standard_normal(m),
         input_names=NAMES,
     )
-    return cs.closed_loop(model, sensor=cs.loop.StiffnessSensor(K_d), z0=rng.standard_normal(m))
+    return cs.closed_loop(model, sensor=cs.loop.StiffnessSensor(K_d=K_d), z0=rng.standard_normal(m))
 
 
 def cells_problem(loop, cells, t):
@@ -65,7 +65,7 @@ def cells_problem(loop, cells, t):
     z0 = loop.z0 + 0.1 * rng.standard_normal((cells, loop.order))
     p0 = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
     name = f"closed loop, m = {loop.order}, {cells} cell{'s' * (cells > 1)}"
-    return cs.CostProblem(name, cs.loop_copies(loop, z0, p0), t)
+    return cs.CostProblem(name=name, system=cs.loop_copies(loop, z0, p0), t=t)
 
 
 def loop_sweep(loop, cells, t, tolerances, repeats):
@@ -100,7 +100,7 @@ def crawler_sweep(end, repeats):
     """Event-driven crawler: integrators that find events; one crawler (README: why not two)."""
     scene = cs.load_scene(HERE.parent / "examples" / "crawler.toml")
     scene = dataclasses.replace(scene, cells=scene.cells[:1])
-    problem = cs.CostProblem("crawler", cs.build(scene), np.linspace(0.0, end, 41))
+    problem = cs.CostProblem(name="crawler", system=cs.build(scene), t=np.linspace(0.0, end, 41))
     setups = [cs.by_tolerance(m, [1e-3, 1e-5, 1e-7, 1e-9]) for m in (cs.LSODA, cs.DOP853, cs.Radau)]
     references = cs.by_tolerance(cs.LSODA, [1e-12]), cs.by_tolerance(cs.DOP853, [1e-12])
     return cs.work_precision(setups, problem, references, repeats=repeats, agree=1e-6)
@@ -109,7 +109,7 @@ def crawler_sweep(end, repeats):
 def full_order_sweep(scene, end, name, repeats=1):
     """The full-order model: our two steppers and explicit Euler, against RKC and DOP853."""
     t = np.linspace(0.0, end, 3)
-    problem = cs.CostProblem(name, cs.build(scene), t)
+    problem = cs.CostProblem(name=name, system=cs.build(scene), t=t)
     limit = cs.stability_limit(problem.system)
     setups = [
         cs.by_step(cs.LinearlyImplicit, [1.0, 0.5, 0.25]),
@@ -272,7 +272,11 @@ def trained(page, quick, out):
     truth, run = cs.run_ensemble([fine, pair], folder, workers=workers)
     began = time.perf_counter()
     system = cs.build(pair)
-    field = cs.GalerkinField(system, order=40, places=20) if quick else cs.GalerkinField(system)
+    field = (
+        cs.GalerkinField(system=system, order=40, places=20)
+        if quick
+        else cs.GalerkinField(system=system)
+    )
     offline = time.perf_counter() - began
     models = [cs.reduce(known, order=m, method=method) for m in ((6, 12) if quick else (20, 100))]
     step = {f"full order, {s.step:g} s": r for s, r in ((pair, run), (fine, truth))}

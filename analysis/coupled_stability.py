@@ -142,20 +142,22 @@ def load_ports(numbers) -> None:
     passive = cs.CellPort.collocated(A, F, gamma=0.3)
     free = rng.standard_normal((m, 2))
     free *= np.linalg.norm(passive.C) / np.linalg.norm(free)
-    fitted = cs.CellPort(A, F, free)
+    fitted = cs.CellPort(A=A, F=F, C=free)
     print(f"LoadPorts, collocated: {passive.passivity()}")
     print(f"LoadPorts, freely fitted: {fitted.passivity()}")
     for K in numbers:
         places = rng.uniform(-9.0, 9.0, (K, 2))
-        safe = cs.couple(passive, coupling=cs.LoadPorts(field, places))
-        loose = cs.couple(fitted, coupling=cs.LoadPorts(field, places, allow_active=True))
+        safe = cs.couple(passive, coupling=cs.LoadPorts(field=field, positions=places))
+        loose = cs.couple(
+            fitted, coupling=cs.LoadPorts(field=field, positions=places, allow_active=True)
+        )
         print(
             f"  K = {K}: collocated {safe.pole_set().abscissa:.4g} 1/s "
             f"({safe.stability().verdict}), freely fitted {loose.pole_set().abscissa:.4g} 1/s "
             f"({loose.stability().verdict})"
         )
     try:
-        cs.couple(fitted, coupling=cs.LoadPorts(field, places))
+        cs.couple(fitted, coupling=cs.LoadPorts(field=field, positions=places))
     except cs.ParameterError as error:
         print(f"  refused: {error}")
 

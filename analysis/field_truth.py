@@ -44,15 +44,19 @@ def main(quick: bool = False, out: str | None = None) -> None:
     orders = (50, 100) if quick else (50, 100, 200, 400)
     began = time.process_time()
     answers = {"places": 40, "per_place": 4} if quick else {}
-    field = cs.GalerkinField(system, order=orders[-1], **answers)
+    field = cs.GalerkinField(system=system, order=orders[-1], **answers)
     print(f"modes: q = {field.order}, built in {time.process_time() - began:.1f} s")
-    on_linear = cs.GalerkinField(system, order=orders[-1], linear=True, **answers)
+    on_linear = cs.GalerkinField(system=system, order=orders[-1], linear=True, **answers)
 
     sample, top, middle = planned[0].sample, orders[-1], orders[-2]
     setups = [(f"nonlinear q={q}", field.truncated(q), 1) for q in orders]
     setups += [
         (f"nonlinear q={middle}, 10 s", field.truncated(middle), 2),
-        (f"nonlinear q={top}, linear modes", cs.GalerkinField(system, modes=on_linear.modes), 1),
+        (
+            f"nonlinear q={top}, linear modes",
+            cs.GalerkinField(system=system, modes=on_linear.modes),
+            1,
+        ),
         (f"linear q={middle}", on_linear.truncated(middle), 1),
         ("linear full", cs.full_field(system, linear=True), 1),
         ("nonlinear full", cs.full_field(system), 1),

@@ -36,7 +36,7 @@ def coupling(count: int) -> tuple:
     for gap in np.logspace(-2, -16, count):
         gaps = np.array([gap, 0.3, 0.5, 0.7])
         V = np.vstack([U * np.sqrt(gaps), F * np.sqrt(1 - gaps)]) @ W.T
-        model = cs.LatentModel(A, V=V, blocks={"component": range(7), "field": range(7, 16)})
+        model = cs.LatentModel(A=A, V=V, blocks={"component": range(7), "field": range(7, 16)})
         P = V[7:].T @ V[7:]
         N = np.eye(8) + np.kron([[0, 1], [1, 0]], P)
         naive = sla.eigvals(N @ np.kron(np.eye(2), A) @ np.linalg.pinv(N))

@@ -81,9 +81,9 @@ def reduced(
     """
     chosen = [scene.cells[k] for k in which]
     ports = cs.LoadPorts(
-        field,
-        np.array([c.position for c in chosen]),
-        np.array([c.polarity for c in chosen]),
+        field=field,
+        positions=np.array([c.position for c in chosen]),
+        headings=np.array([c.polarity for c in chosen]),
     )
     cells = cs.couple(
         model,
@@ -106,9 +106,13 @@ def on_grid(run: cs.Trajectory, dt: float) -> cs.Trajectory:
     x = np.column_stack([run.block(b.name)[::every].reshape(len(run.t[::every]), -1)
                          for b in blocks])  # fmt: skip
     return cs.Trajectory(
-        run.t[::every], x, cs.Layout(blocks), p=np.asarray(run.p)[::every], events=run.events,
+        t=run.t[::every],
+        x=x,
+        states=cs.Layout(blocks),
+        p=np.asarray(run.p)[::every],
+        events=run.events,
         geometry=run.geometry,
-    )  # fmt: skip
+    )
 
 
 def misses(found: cs.Trajectory, truth: cs.Trajectory) -> str:
@@ -219,8 +223,13 @@ def until_touch(model: cs.EquivariantModel, scene: cs.Scene, folder: Path) -> No
 
 def first(run: cs.Trajectory, count: int) -> cs.Trajectory:
     """The first samples of a run, positions and polarity alone."""
-    return cs.Trajectory(run.t[:count], run.x[:count], run.states, p=np.asarray(run.p)[:count],
-                         geometry=run.geometry)  # fmt: skip
+    return cs.Trajectory(
+        t=run.t[:count],
+        x=run.x[:count],
+        states=run.states,
+        p=np.asarray(run.p)[:count],
+        geometry=run.geometry,
+    )
 
 
 def draw(found: dict[str, dict], folder: Path) -> None:

@@ -81,7 +81,7 @@ def compare(model, field, scene, folder) -> dict[str, float]:
     body = np.stack([run.block(f"cell{k}.position")[::every] for k in (1, 2)], axis=1)
 
     def coupled(which):
-        cells = cs.couple(model, coupling=cs.LoadPorts(field, places[which]))
+        cells = cs.couple(model, coupling=cs.LoadPorts(field=field, positions=places[which]))
         return cells, cells.simulate(t, amplitude=amplitude[:, which], heading=heading[:, which])
 
     began = time.perf_counter()
@@ -130,8 +130,12 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
         model = cs.reduce(data, order=24 if quick else 100, method=method)
         print(model.card.verdict)
         system = cs.build(pairs[0])
-        field = cs.GalerkinField(system, order=40, places=20) if quick else cs.GalerkinField(system)
-        print(cs.couple(model, coupling=cs.LoadPorts(field, PLACES[0])).stability())
+        field = (
+            cs.GalerkinField(system=system, order=40, places=20)
+            if quick
+            else cs.GalerkinField(system=system)
+        )
+        print(cs.couple(model, coupling=cs.LoadPorts(field=field, positions=PLACES[0])).stability())
         rows = [compare(model, field, scene, folder) for scene in pairs]
     if out is None:
         return

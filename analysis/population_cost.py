@@ -28,13 +28,13 @@ def cell(m: int, seed: int = 0) -> cs.LatentModel:
     K_d = rng.standard_normal((3, 1 + m)) / np.sqrt(m)
     K_d[2] = 0.0
     return cs.LatentModel(
-        sla.solve(T.T, (T @ np.diag(-rates)).T).T,
+        A=sla.solve(T.T, (T @ np.diag(-rates)).T).T,
         B=0.02 * rng.standard_normal((m, 4)),
         offset=0.01 * rng.standard_normal(m),
         V=V,
         blocks={"field": range(2 * m, 4 * m)},
         input_names=NAMES,
-        sensor=cs.StiffnessSensor(K_d),
+        sensor=cs.StiffnessSensor(K_d=K_d),
         z_start=rng.standard_normal(m),
     )
 
@@ -116,9 +116,9 @@ def thousand_cells(K: int, m: int, duration: float, folder: Path | None) -> None
         figure, axes = sheet((6.5, 3.5))
         one = {
             f"cell {k + 1}": cs.Trajectory(
-                run.t,
-                run.block("z")[:, k],
-                cs.Layout([cs.Block("z", (m,))]),
+                t=run.t,
+                x=run.block("z")[:, k],
+                states=cs.Layout([cs.Block("z", (m,))]),
                 p=run.p[:, k : k + 1],
             )
             for k in range(4)

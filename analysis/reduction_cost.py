@@ -38,14 +38,14 @@ def synthetic(folder: Path, runs: int, samples: int) -> cs.Snapshots:
                 array[k : k + 256] = np.cos(rate * t + phase) @ part
             array.flush()
             arrays[name] = np.load(path, mmap_mode="r")
-        data.append(cs.RunData(arrays["x"], arrays["eta"][:-1]))
+        data.append(cs.RunData(x=arrays["x"], eta=arrays["eta"][:-1]))
     return cs.Snapshots(
-        tuple(data),
-        cs.Layout([cs.Block("x", (N_X,))]),
-        cs.Layout([cs.Block("eta", (N_ETA,), "1", "component", "rate")]),
-        1.0,
-        sp.csr_array((N_X, N_X)),
-        sp.csr_array(sp.hstack([sp.eye_array(N_X), sp.eye_array(N_X)])),
+        runs=tuple(data),
+        states=cs.Layout([cs.Block("x", (N_X,))]),
+        auxiliaries=cs.Layout([cs.Block("eta", (N_ETA,), "1", role="component", kind="rate")]),
+        dt=1.0,
+        W_x=sp.csr_array((N_X, N_X)),
+        W_eta=sp.csr_array(sp.hstack([sp.eye_array(N_X), sp.eye_array(N_X)])),
     )
 
 
@@ -71,7 +71,7 @@ def main(quick: bool = False) -> None:
         measure(3001, order)
     rng = np.random.default_rng(1)
     A = -np.diag(np.geomspace(1e-4, 0.5, 100)) + 1e-3 * rng.standard_normal((100, 100))
-    model = cs.LatentModel(A, B=rng.standard_normal((100, 4)), dt=1.0)
+    model = cs.LatentModel(A=A, B=rng.standard_normal((100, 4)), dt=1.0)
     t, u = np.arange(3001.0), rng.standard_normal((3000, 4))
     model.predict(np.ones(100), u, t)
     times = []

@@ -56,14 +56,14 @@ def synthetic(folder: Path, runs: int, pairs: int) -> tuple[cs.Snapshots, np.nda
 
             width = side.shape[1]
             parts.append(write(folder / f"{name}{i}.npy", count, width, 512, rows_of))
-        data.append(cs.RunData(parts[0], parts[1], label=f"run {i}"))
+        data.append(cs.RunData(x=parts[0], eta=parts[1], label=f"run {i}"))
     snapshots = cs.Snapshots(
-        tuple(data),
-        cs.Layout([cs.Block("x", (N_X,))]),
-        cs.Layout([cs.Block("eta", (N_ETA,), "1", "component", "rate")]),
-        1.0,
-        sp.csr_array((N_X, N_X)),
-        sp.csr_array((N_X, N_ETA)),
+        runs=tuple(data),
+        states=cs.Layout([cs.Block("x", (N_X,))]),
+        auxiliaries=cs.Layout([cs.Block("eta", (N_ETA,), "1", role="component", kind="rate")]),
+        dt=1.0,
+        W_x=sp.csr_array((N_X, N_X)),
+        W_eta=sp.csr_array((N_X, N_ETA)),
         scale="none",
     )
     return snapshots, right

@@ -221,8 +221,8 @@ def main(quick: bool = False, out: str | None = None) -> None:
                 f"{k} {100 * v:.1f} %" for k, v in found.items()))  # fmt: skip
 
     order = 60 if quick else 200
-    field = cs.GalerkinField(cs.build(data.scenes["test"][0]), order=order)
-    cells = cs.CellsOnField(model, field)
+    field = cs.GalerkinField(system=cs.build(data.scenes["test"][0]), order=order)
+    cells = cs.CellsOnField(model=model, field=field)
     miss, seconds = [], np.inf
     for record, run in zip(data.records["test"], data.runs["test"], strict=True):
         place = record.nodes[0].mean(axis=0)[:2]

@@ -119,9 +119,9 @@ def pair_loop(
 ) -> dict[str, float]:
     """Heading error, deg rms over both cells, of every sensor."""
     system = cs.build(scene)
-    field = cs.GalerkinField(system, order=order)
-    ports = cs.LoadPorts(field, np.array([c.position for c in scene.cells]),
-                         np.array([c.polarity for c in scene.cells]))  # fmt: skip
+    field = cs.GalerkinField(system=system, order=order)
+    ports = cs.LoadPorts(field=field, positions=np.array([c.position for c in scene.cells]),
+                         headings=np.array([c.polarity for c in scene.cells]))  # fmt: skip
     law = cs.PolarityLaw(kappa=scene.effects["polarity"].kappa)
     every = run.stride(model.dt)
     true = np.asarray(run.p)[::every]

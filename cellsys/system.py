@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, NamedTuple, TypeGuard
 
@@ -64,6 +64,7 @@ class Block:
     name: str
     shape: tuple[int, ...] = ()
     unit: str = "1"
+    _: KW_ONLY
     role: str = "component"
     kind: str = "position"
 
@@ -184,7 +185,7 @@ class Event(NamedTuple):
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EventFunction:
     """A guard located by root finding, and the jump of the state that it causes.
 

@@ -69,7 +69,7 @@ class ErrorEstimate(Shown):
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Trajectory(Drawable):
     """Samples of a run; axis 0 is time.
 

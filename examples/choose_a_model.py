@@ -27,7 +27,7 @@ def run(seed: int, samples: int) -> cs.RunData:
             x[k + 1, axis * N : (axis + 1) * N] = q + 0.2 * (
                 np.diff(force) + 1.2 * pull * commands[k, axis]
             )
-    return cs.RunData(x, commands=commands, label=f"run {seed}")
+    return cs.RunData(x=x, commands=commands, label=f"run {seed}")
 
 
 def main(quick: bool = False) -> None:

@@ -21,7 +21,7 @@ class TotalLeastSquares:
         left = sla.svd(np.hstack([now - mean, ahead - then]), full_matrices=False)[0][:, :order]
         A = sla.lstsq(left.T @ (now - mean), left.T @ (ahead - then))[0].T
         return cs.LatentModel(
-            (A - np.eye(order)) / dt, offset=(then - A @ mean) / dt, dt=dt, V=V,
+            A=(A - np.eye(order)) / dt, offset=(then - A @ mean) / dt, dt=dt, V=V,
             mean=basis.mean, scale=basis.scale, n_states=len(V), notes={"method": self.name},
         )  # fmt: skip
 

@@ -122,7 +122,7 @@ def field():
 
 @cache
 def decay():
-    return cs.CostProblem("oscillator", oscillator(), T)
+    return cs.CostProblem(name="oscillator", system=oscillator(), t=T)
 
 
 @cache
@@ -204,7 +204,7 @@ GOOD = {
     "EquivariantModel.sites": lambda: equivariant().sites, "EquivariantModel.states": layout,
     "EquivariantModel.auxiliaries": layout, "CellsOnField.model": equivariant,
     "LoadPorts.field": field, "LoadPorts.positions": lambda: np.zeros((2, 2)),
-    "PiecewiseModel.frozen": lambda: cs.LatentModel(A),
+    "PiecewiseModel.frozen": lambda: cs.LatentModel(A=A),
     "PiecewiseModel.points": lambda: np.ones((1, 2)),
     "PiecewiseModel.A": lambda: A[None], "PiecewiseModel.offset": lambda: np.ones((1, 2)),
     "BondGraph.elements": lambda: graph().elements,
@@ -215,8 +215,8 @@ GOOD = {
     "InteractionGraph.weights": lambda: np.ones((2, 2)) - np.eye(2),
     "RootSet.values": lambda: np.array([-1.0]), "CrawlerSystem.cells": lambda: (cs.Crawler(),),
     "CrawlerSystem.chain": lambda: crawlers().chain,
-    "PortedCells.coupling": lambda: cs.LoadPorts(field(), np.zeros((2, 2))),
-    "PortedCells.model": lambda: cs.CellPort(-np.eye(2), np.eye(2)),
+    "PortedCells.coupling": lambda: cs.LoadPorts(field=field(), positions=np.zeros((2, 2))),
+    "PortedCells.model": lambda: cs.CellPort(A=-np.eye(2), F=np.eye(2)),
 }  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 """What the house test looks for in sources, given as file name -> text."""
 
 import ast
+import re
 from functools import cache
 
 KINDS = ("chain", "disc", "gel")  # of matrices
@@ -157,3 +158,28 @@ def crowded(sources: dict[str, str], most: int) -> dict[str, int]:
         folder = name.rpartition("/")[0]
         lines[folder] = lines.get(folder, 0) + text.count("\n")
     return {folder: n for folder, n in lines.items() if n > most}
+
+
+def by_position(sources: dict[str, str], most: int) -> list[str]:
+    """Dataclasses of more than `most` fields that take more than `most` of them by position."""
+    wrong = []
+    for name, text in sources.items():
+        for node in ast.walk(parsed(text)):
+            if not isinstance(node, ast.ClassDef):
+                continue
+            made = [ast.unparse(d) for d in node.decorator_list if "dataclass" in ast.unparse(d)]
+            given = [s for s in node.body if isinstance(s, ast.AnnAssign)]
+            kinds = [ast.unparse(s.annotation) for s in given]
+            stop = kinds.index("KW_ONLY") if "KW_ONLY" in kinds else len(given)
+            taken = [
+                s
+                for s, kind in zip(given[:stop], kinds, strict=False)
+                if not kind.startswith("ClassVar")
+                and (
+                    s.value is None
+                    or not re.search("kw_only=True|init=False", ast.unparse(s.value))
+                )
+            ]
+            if made and "kw_only=True" not in made[0] and len(taken) > most:
+                wrong.append(f"{name}: {node.name} takes {len(taken)}")
+    return wrong

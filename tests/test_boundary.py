@@ -84,9 +84,9 @@ X = np.random.default_rng(0).standard_normal((20, 2)).cumsum(axis=0)
     [
         (lambda: cs.snapshots(X, dt=0.5), r"runs must be a list.*put a single one into \[\.\.\.\]"),
         (lambda: cs.snapshots("a.csv"), "runs must be a list"),
-        (lambda: cs.snapshots([RunData(X, commands=X[1:, 0])], dt=0.5), "commands of run 0"),
-        (lambda: cs.snapshots([RunData(X, eta=X[1:, 0])], dt=0.5), "eta of run 0"),
-        (lambda: cs.snapshots([RunData(X[:, 0])], dt=0.5), "x of run 0"),
+        (lambda: cs.snapshots([RunData(x=X, commands=X[1:, 0])], dt=0.5), "commands of run 0"),
+        (lambda: cs.snapshots([RunData(x=X, eta=X[1:, 0])], dt=0.5), "eta of run 0"),
+        (lambda: cs.snapshots([RunData(x=X[:, 0])], dt=0.5), "x of run 0"),
         (lambda: cs.snapshots([X], dt=0.5, blocks={}), "each of the 2 columns"),
         (lambda: cs.snapshots([X], dt=10**5000), "dt must be a number"),
         (lambda: cs.simulate(oscillator(), None, [0.0, 1.0]), "integrator must be"),

@@ -191,18 +191,21 @@ def test_bode_of_a_scheduled_model_along_time(call, model_file, tmp_path):
 
 
 def test_bode_refuses_models_without_a_loop(call, tmp_path):
-    LatentModel(-np.eye(2)).save(tmp_path / "bare.npz")
+    LatentModel(A=-np.eye(2)).save(tmp_path / "bare.npz")
     refused(call("bode", "bare.npz", "-o", "b.png"), "no sensor")
-    LatentModel(-np.eye(2), B=np.ones((2, 1)), sensor=StiffnessSensor(np.ones((3, 3)))).save(
+    LatentModel(A=-np.eye(2), B=np.ones((2, 1)), sensor=StiffnessSensor(K_d=np.ones((3, 3)))).save(
         tmp_path / "other.npz"
     )
     refused(call("bode", "other.npz", "-o", "b.png"), "heading features")
     assert not (tmp_path / "b.png").exists()
     # a plant that runs away: the computation fails, exit code 1
     LatentModel(
-        np.eye(2), B=np.ones((2, 4)), input_names=NAMES, sensor=StiffnessSensor(np.ones((3, 3))),
+        A=np.eye(2),
+        B=np.ones((2, 4)),
+        input_names=NAMES,
+        sensor=StiffnessSensor(K_d=np.ones((3, 3))),
         z_start=np.ones(2),
-    ).save(tmp_path / "wild.npz")  # fmt: skip
+    ).save(tmp_path / "wild.npz")
     code, _, err = call("bode", "wild.npz", "-o", "b.png")
     assert code in (1, 2)
     # the integrator has a word of its own before the error

@@ -31,7 +31,7 @@ class Mean:
     def fit(self, snapshots, order, *, test=None, basis=None):
         basis = cs.fit_basis(snapshots, order) if basis is None else basis
         return cs.LatentModel(
-            -1e-3 * np.eye(order),
+            A=-1e-3 * np.eye(order),
             V=basis.V[:, :order],
             mean=basis.mean,
             scale=basis.scale,

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.house import (
+    by_position,
     circles,
     contract_members,
     crowded,
@@ -226,6 +227,13 @@ def test_every_extra_is_used():
             asked = names.get(package, rf"(import {package}\b|from {package}\b|-m {package}\b|"
                               rf"bin/{package}\b|importorskip\(\"{package}[\".])")  # fmt: skip
             assert re.search(asked if package not in names else re.escape(asked), text), extra
+
+
+def test_dataclasses_above_four_fields_are_filled_by_name():
+    """What comes first may go by place: Realization(A, B, C, D), GalerkinField(system)."""
+    assert by_position(SOURCES, 4) == []
+    five = "@dataclass(frozen=True)\nclass A:\n" + "".join(f"    f{i}: int\n" for i in range(5))
+    assert by_position({"a.py": five}, 4) == ["a.py: A takes 5"]
 
 
 def test_no_room_is_over_six_thousand_lines():

@@ -137,18 +137,18 @@ def test_numeric_only_laws_say_so():
 def test_trajectory_checks_shapes_and_times():
     states = Layout(["x"])
     with pytest.raises(DimensionError, match="x must have shape"):
-        Trajectory(np.arange(3.0), np.zeros((2, 1)), states)
+        Trajectory(t=np.arange(3.0), x=np.zeros((2, 1)), states=states)
     with pytest.raises(DataError, match="increase"):
-        Trajectory(np.array([0.0, 0.0]), np.zeros((2, 1)), states)
+        Trajectory(t=np.array([0.0, 0.0]), x=np.zeros((2, 1)), states=states)
     with pytest.raises(DimensionError, match="eta must have shape"):
         Trajectory(
-            np.arange(3.0),
-            np.zeros((3, 1)),
-            states,
+            t=np.arange(3.0),
+            x=np.zeros((3, 1)),
+            states=states,
             eta=np.zeros((3, 1)),
             auxiliaries=Layout(["e"]),
         )
-    run = Trajectory(np.arange(3.0), np.zeros((3, 1)), states)
+    run = Trajectory(t=np.arange(3.0), x=np.zeros((3, 1)), states=states)
     assert len(run) == 3
     with pytest.raises(DataError, match="without its auxiliaries"):
         run.auxiliary("e")

@@ -89,9 +89,11 @@ def data_of(
     states, auxiliaries = _layouts(system)
     W = sp.csr_array(system.W_eta[:N_X])
     if extra:
-        states = states + Layout([Block("chain.tension", (40,), "pN", "field", "internal")])
+        states = states + Layout(
+            [Block("chain.tension", (40,), "pN", role="field", kind="internal")]
+        )
         auxiliaries = auxiliaries + Layout(
-            [Block("chain.tension.rate", (40,), "pN/s", "field", "internal")]
+            [Block("chain.tension.rate", (40,), "pN/s", role="field", kind="internal")]
         )
         W = sp.csr_array(sp.block_diag([W, sp.eye_array(40)]))
     if eta == "none":
@@ -108,10 +110,22 @@ def data_of(
         if eta != "none":
             first = run.laws[0] if not extra else np.concatenate([run.laws[0], values[0, N_ETA:]])
         data.append(
-            RunData(x, values, skip=run.event_rows if events == "skip" else (), eta_start=first)
+            RunData(
+                x=x, eta=values, skip=run.event_rows if events == "skip" else (), eta_start=first
+            )
         )
     n = states.size
-    return Snapshots(tuple(data), states, auxiliaries, dt, sp.csr_array((n, n)), W, (), scale, {})
+    return Snapshots(
+        runs=tuple(data),
+        states=states,
+        auxiliaries=auxiliaries,
+        dt=dt,
+        W_x=sp.csr_array((n, n)),
+        W_eta=W,
+        command_names=(),
+        scale=scale,
+        source={},
+    )
 
 
 def jump_aware(data: Snapshots, order: int) -> LatentModel:

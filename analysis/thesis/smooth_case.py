@@ -47,7 +47,7 @@ def runs_of(system, amplitude: float, count: int, t: np.ndarray, seed: int) -> l
         run = simulate(system, DOP853(rtol=1e-8, atol=1e-10), t, x0)
         x = np.asarray(run.x)
         eta = np.asarray(run.eta)[:, : system.auxiliaries.size]
-        out.append(RunData(x, eta, eta_start=system.eta(0.0, x[0])))
+        out.append(RunData(x=x, eta=eta, eta_start=system.eta(0.0, x[0])))
     return out
 
 
@@ -65,7 +65,7 @@ def chain_rule_model(system: OdeSystem, runs: list[RunData]) -> LatentModel:
     A = np.vstack([np.hstack([system.W_x.toarray(), system.W_eta.toarray()]), K[:-1].T])
     n, n_eta = system.states.size, system.auxiliaries.size
     return LatentModel(
-        A, offset=np.concatenate([np.zeros(n), K[-1]]), V=np.eye(n + n_eta), n_states=n
+        A=A, offset=np.concatenate([np.zeros(n), K[-1]]), V=np.eye(n + n_eta), n_states=n
     )
 
 
@@ -99,10 +99,27 @@ def main(quick: bool = False, out: str | None = None) -> dict[str, np.ndarray]:
         train = runs_of(system, amplitude, n_train, t, 1)
         test = runs_of(system, amplitude, n_test, t, 2)
         W = system.W_eta
-        data = Snapshots(tuple(train), system.states, system.auxiliaries, DT, system.W_x, W, (),
-                         "none")  # fmt: skip
-        alone = tuple(RunData(r.x) for r in train)
-        plain = Snapshots(alone, system.states, Layout(), DT, system.W_x, W[:, :0], (), "none")
+        data = Snapshots(
+            runs=tuple(train),
+            states=system.states,
+            auxiliaries=system.auxiliaries,
+            dt=DT,
+            W_x=system.W_x,
+            W_eta=W,
+            command_names=(),
+            scale="none",
+        )
+        alone = tuple(RunData(x=r.x) for r in train)
+        plain = Snapshots(
+            runs=alone,
+            states=system.states,
+            auxiliaries=Layout(),
+            dt=DT,
+            W_x=system.W_x,
+            W_eta=W[:, :0],
+            command_names=(),
+            scale="none",
+        )
         augmented, x_only = PCR().fit(data, 4), LeastSquares().fit(plain, 2)
         errors[names[0]].append(error_of(lambda r: np.array([P @ r.x[0] for P in powers]), test))
         errors[names[1]].append(

@@ -41,7 +41,7 @@ from cellsys.shown import Shown
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Budget(Shown):
     """The answer of `budget`.
 
@@ -192,7 +192,16 @@ def budget(
 
 def _none(error: float, measure: str, floor: str) -> Budget:
     nan = float("nan")
-    return Budget(error, measure, None, nan, nan, nan, floor, ())
+    return Budget(
+        error=error,
+        measure=measure,
+        integrator=None,
+        seconds=nan,
+        training=nan,
+        held_out=nan,
+        floor=floor,
+        sweeps=(),
+    )
 
 
 def _of_own_step(loop: ScheduledLoop, error: float, t: np.ndarray | None) -> Budget:
@@ -206,7 +215,16 @@ def _of_own_step(loop: ScheduledLoop, error: float, t: np.ndarray | None) -> Bud
     loop.simulate(times)
     seconds = clock.perf_counter() - began
     found, nan = row[1], float("nan")
-    return Budget(error, measure, f"its own step of {dt:g} s", seconds, nan, found, "", ())
+    return Budget(
+        error=error,
+        measure=measure,
+        integrator=f"its own step of {dt:g} s",
+        seconds=seconds,
+        training=nan,
+        held_out=found,
+        floor="",
+        sweeps=(),
+    )
 
 
 def _choose(
@@ -240,7 +258,16 @@ def _choose(
         )  # fmt: skip
         if tried <= error:
             integrator = name if setup.make is None else uncapped(setup.make(setting))
-            return Budget(error, measure, integrator, seconds, found, tried, "", sweeps)
+            return Budget(
+                error=error,
+                measure=measure,
+                integrator=integrator,
+                seconds=seconds,
+                training=found,
+                held_out=tried,
+                floor="",
+                sweeps=sweeps,
+            )
     best = min((found for _, found, _, _ in worst), default=float("nan"))
     floor = f"{ends} leaves {best:.2g} (asked {error:g} with a margin of {margin:g})"
     if not np.isnan(tried):
@@ -249,7 +276,16 @@ def _choose(
             "held-out ones at the last; give more training starts or longer ones (t=)"
         )
     nan = float("nan")
-    return Budget(error, measure, None, nan, best, tried, floor, sweeps)
+    return Budget(
+        error=error,
+        measure=measure,
+        integrator=None,
+        seconds=nan,
+        training=best,
+        held_out=tried,
+        floor=floor,
+        sweeps=sweeps,
+    )
 
 
 def held_out_error(

@@ -102,7 +102,7 @@ def cells_cost(
         t = truth.t[::every]
         amplitude, heading = step_commands(scene, t)
         places = np.array([c.position for c in scene.cells])
-        cells, seconds = CellsOnField(model, field), np.inf
+        cells, seconds = CellsOnField(model=model, field=field), np.inf
         for _ in range(repeats):
             began = time.perf_counter()
             run = cells.simulate(amplitude, heading, places)

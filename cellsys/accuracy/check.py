@@ -14,7 +14,7 @@ from cellsys.errors import ParameterError
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BudgetCheck:
     """What a budget's setting is worth on another start.
 
@@ -99,10 +99,10 @@ def check_budget(
             least[k] = min(least[k], clock.perf_counter() - began)
     names = [f"{setup.name} {setting:g}" for _, _, setup, setting in pair]
     return BudgetCheck(
-        problem.name,
-        found.error,
-        mine[0][1],
-        names[0],
-        names[1] if best else "",
-        least[0] / least[1] if best else float("nan"),
+        problem=problem.name,
+        asked=found.error,
+        error=mine[0][1],
+        chosen=names[0],
+        best=names[1] if best else "",
+        ratio=least[0] / least[1] if best else float("nan"),
     )

@@ -46,7 +46,7 @@ def solve_ivp_peer(method: Method, tolerances: Sequence[float], rhs: Rhs | None 
             )
         return found.y.T
 
-    return Setup(f"scipy {method}", solve, tuple(tolerances))
+    return Setup(name=f"scipy {method}", solve=solve, settings=tuple(tolerances))
 
 
 @checked
@@ -72,4 +72,4 @@ def input_output_response(tolerances: Sequence[float], rhs: Rhs | None = None) -
         )
         return found.states.T
 
-    return Setup("python-control", solve, tuple(tolerances))
+    return Setup(name="python-control", solve=solve, settings=tuple(tolerances))

@@ -16,7 +16,7 @@ from cellsys.system import OdeSystem
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CostProblem:
     """A run whose cost is asked for.
 
@@ -45,7 +45,7 @@ class CostProblem:
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Setup:
     """A way to solve a problem at several settings.
 
@@ -117,4 +117,6 @@ def _setup(
         )
 
     name = method.__name__
-    return Setup(name, solve, tuple(settings), unit, name in _OWN, make)
+    return Setup(
+        name=name, solve=solve, settings=tuple(settings), unit=unit, own=name in _OWN, make=make
+    )

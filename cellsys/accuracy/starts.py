@@ -43,7 +43,12 @@ def loop_problems(
         angle = rng.uniform(-np.pi, np.pi)
         p0 = float(np.linalg.norm(loop.p0)) * np.array([np.cos(angle), np.sin(angle), 0.0])
         out.append(
-            CostProblem(f"loop, start {k}", loop.system, times, np.concatenate([loop.z0, p0]))
+            CostProblem(
+                name=f"loop, start {k}",
+                system=loop.system,
+                t=times,
+                x0=np.concatenate([loop.z0, p0]),
+            )
         )
     return out
 
@@ -76,7 +81,7 @@ def scene_problems(
             drawn = dataclasses.replace(scene, cells=cells, seed=scene.seed + k)
         if k >= first:
             name = f"{scene.name}, start {k}"
-            out.append(CostProblem(name, build(drawn), t, seed=drawn.seed))
+            out.append(CostProblem(name=name, system=build(drawn), t=t, seed=drawn.seed))
     return out
 
 

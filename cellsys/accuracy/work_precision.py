@@ -32,7 +32,7 @@ SLOW = 2.0  # s of a solve that other work on the machine no longer changes much
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WorkPoint:
     """One setting of one setup: its error and time, or why there is none (NaN)."""
 
@@ -45,7 +45,7 @@ class WorkPoint:
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class WorkPrecision(Drawable):
     """A finished sweep.
 
@@ -193,7 +193,12 @@ def work_precision(
         for setting in setup.settings
     ]
     return WorkPrecision(
-        problem.name, error, tuple(points), (first.name, second.name), apart, footer(problem.seed)
+        problem=problem.name,
+        measure=error,
+        points=tuple(points),
+        references=(first.name, second.name),
+        agreement=apart,
+        footer=footer(problem.seed),
     )
 
 
@@ -206,7 +211,14 @@ def _point(
             found = setup.solve(problem, setting)
             value = measure(error, found, best)
             if not np.isfinite(value):
-                return WorkPoint(setup.name, setting, nan, nan, setup.own, "states not finite")
+                return WorkPoint(
+                    setup=setup.name,
+                    setting=setting,
+                    error=nan,
+                    seconds=nan,
+                    own=setup.own,
+                    reason="states not finite",
+                )
             times = []
             for _ in range(repeats):
                 began = clock.perf_counter()
@@ -216,8 +228,12 @@ def _point(
                     break
     except (CellsysError, RuntimeError, ArithmeticError) as failure:
         reason = f"{type(failure).__name__}: {' '.join(str(failure).split())}"
-        return WorkPoint(setup.name, setting, nan, nan, setup.own, reason)
-    return WorkPoint(setup.name, setting, value, min(times), setup.own)
+        return WorkPoint(
+            setup=setup.name, setting=setting, error=nan, seconds=nan, own=setup.own, reason=reason
+        )
+    return WorkPoint(
+        setup=setup.name, setting=setting, error=value, seconds=min(times), own=setup.own
+    )
 
 
 def footer(seed: int) -> dict[str, Any]:

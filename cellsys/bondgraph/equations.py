@@ -28,7 +28,7 @@ from cellsys.system import OdeSystem
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Equations(StateEquations, Shown):
     """State equations of a bond graph [thesis eq. 5],
 
@@ -143,4 +143,12 @@ def derive(graph: JunctionGraph, *, literal: bool = False) -> Equations:
     for W in (W_x, W_eta, W_s):
         W.sum_duplicates()
         W.eliminate_zeros()
-    return Equations(graph, structure, Laws(structure), W_x, W_eta, W_s, literal)
+    return Equations(
+        graph=graph,
+        structure=structure,
+        laws=Laws(structure),
+        W_x=W_x,
+        W_eta=W_eta,
+        W_s=W_s,
+        literal=literal,
+    )

@@ -30,7 +30,7 @@ _NONE = np.zeros(0)
 DENSE = 500  # matrices up to this many rows are kept dense: a product then costs a microsecond
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Memoryless:
     """A resistor or a modulated port: eta[place] = sign law(A_x x + A_eta eta + A_s s)."""
 
@@ -218,7 +218,16 @@ class Laws:
         A = [rows @ Y for Y in (structure.Y_x, structure.Y_eta, structure.Y_s)]
         if max(structure.states.size, self.size) <= DENSE:
             A = [a.toarray() for a in A]
-        return _Memoryless(o.name, place, o.shape, law, *A, solvable)
+        return _Memoryless(
+            name=o.name,
+            place=place,
+            shape=o.shape,
+            apply=law,
+            A_x=A[0],
+            A_eta=A[1],
+            A_s=A[2],
+            solvable=solvable,
+        )
 
     def _solve(
         self, group: list[_Memoryless], t: Any, x: Any, s: Any, eta: np.ndarray, views: Any

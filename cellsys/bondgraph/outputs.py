@@ -16,7 +16,7 @@ from cellsys.errors import DimensionError, ParameterError
 from cellsys.system import Block, Layout
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Output:
     """One output of a port: its place in y, and what makes it.
 
@@ -123,22 +123,30 @@ def outputs_of(graph: JunctionGraph, causality: Causality, literal: bool) -> tup
             name = port.name
         out.append(
             Output(
-                index,
-                name,
-                kind,
-                quantity,
-                slice(start, stop),
-                shape,
-                constant,
-                isinstance(element, (Se, Sf)),
+                index=index,
+                name=name,
+                kind=kind,
+                quantity=quantity,
+                place=slice(start, stop),
+                shape=shape,
+                constant=constant,
+                source=isinstance(element, (Se, Sf)),
             )
         )
         start = stop
     for element in graph.elements:
         if isinstance(element, Internal):
             stop = start + element.block.size
-            out.append(Output(-1, element.name, "rate", FLOW, slice(start, stop),
-                              element.block.shape))  # fmt: skip
+            out.append(
+                Output(
+                    index=-1,
+                    name=element.name,
+                    kind="rate",
+                    quantity=FLOW,
+                    place=slice(start, stop),
+                    shape=element.block.shape,
+                )
+            )
             start = stop
     return tuple(out)
 
@@ -162,7 +170,9 @@ def auxiliaries_of(graph: JunctionGraph, outputs: Sequence[Output]) -> Layout:
 def _auxiliary(graph: JunctionGraph, output: Output, roles: Mapping[int, str]) -> Block:
     if output.kind == "rate":
         block = graph.by_name[output.name].block
-        return Block(f"{block.name}.rate", block.shape, f"{block.unit}/s", block.role, "internal")
+        return Block(
+            f"{block.name}.rate", block.shape, f"{block.unit}/s", role=block.role, kind="internal"
+        )
     port = graph.ports[output.index]
     role = roles.get(port.bond, "component")
-    return Block(output.name, output.shape, unit_of(graph, output), role, "rate")
+    return Block(output.name, output.shape, unit_of(graph, output), role=role, kind="rate")

@@ -16,7 +16,7 @@ from cellsys.system import Layout
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class StateEquations:
     """Layouts, matrices and laws of the state equations of a bond graph [thesis eq. 5],
 

@@ -37,7 +37,7 @@ from cellsys.errors import CausalityError, DimensionError, ParameterError
 from cellsys.system import Block, Layout
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Structure:
     """Everything about a graph that does not depend on the state."""
 
@@ -75,7 +75,7 @@ def build(graph: JunctionGraph, causality: Causality, *, literal: bool) -> Struc
     eta_outputs = [o for o in outputs if o.kind in ("law", "rate")]
     auxiliaries = auxiliaries_of(graph, eta_outputs)
     sources = [o for o in outputs if o.kind == "source"]
-    inputs = Layout([Block(o.name, o.shape, unit_of(graph, o), "controller") for o in sources])
+    inputs = Layout([Block(o.name, o.shape, unit_of(graph, o), role="controller") for o in sources])
 
     eye = sp.eye_array(width, format="csc")
     P_eta = _select(eye, [o.place for o in eta_outputs])
@@ -95,9 +95,23 @@ def build(graph: JunctionGraph, causality: Causality, *, literal: bool) -> Struc
         Y = [P + P_w @ w[:, a:b] for P, a, b in zip(Y, edges[:-1], edges[1:], strict=True)]
     Y_x, Y_eta, Y_s = (_clean(P) for P in Y)
     return Structure(
-        graph, causality, outputs, states, auxiliaries, inputs, x0, state_of, inner, rate,
-        Y_x, Y_eta, Y_s, effort, flow, bond_place,
-    )  # fmt: skip
+        graph=graph,
+        causality=causality,
+        outputs=outputs,
+        states=states,
+        auxiliaries=auxiliaries,
+        inputs=inputs,
+        x0=x0,
+        state_of=state_of,
+        inner=inner,
+        rate=rate,
+        Y_x=Y_x,
+        Y_eta=Y_eta,
+        Y_s=Y_s,
+        effort=effort,
+        flow=flow,
+        bond_place=bond_place,
+    )
 
 
 def _places(sizes: list[int]) -> tuple[slice, ...]:

@@ -99,7 +99,7 @@ class CellState:
     place: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CellDynamics:
     """All charges of a cell, its clock and its read-outs.
 

@@ -85,8 +85,8 @@ def write_parts(model: Any, path: str | Path) -> Path:
     return save_archive(path, EQUIVARIANT, VERSION, arrays, metadata)
 
 
-def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
-    """Arguments of an `EquivariantModel` from a file.
+def read_parts(path: str | Path) -> dict[str, Any]:
+    """Fields of an `EquivariantModel` from a file.
 
     Raises
     ------
@@ -111,12 +111,14 @@ def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
             )
             for q in CHARGES
         )
-        reads = [
-            ReadOut(*(arrays[f"{name} {k}"] for k in ("R_z", "R_u", "R_y")))
+        reads = {
+            name: ReadOut(*(arrays[f"{name} {k}"] for k in ("R_z", "R_u", "R_y")))
             for name in ("alone", "riding")
-        ]
+        }
         tau, vertices = meta["clock"]
-        dynamics = CellDynamics(blocks, Clock(tau, vertices), float(meta["dt"]), *reads)
+        dynamics = CellDynamics(
+            blocks=blocks, clock=Clock(tau, vertices), dt=float(meta["dt"]), **reads
+        )
         reach, spacing, orders = meta["port"]
         representation = CellRepresentation(
             ShapeBasis(arrays["material"], meta["radius"], meta["degree"]),
@@ -132,15 +134,13 @@ def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
         )
         sites = PortSites(arrays["site nodes"], arrays["site place"], arrays["site area"])
         sensor = {k[7:]: v for k, v in arrays.items() if k.startswith("sensor ")}
-        args = (
-            dynamics,
-            representation,
-            modes,
-            sites,
-            layout_from(meta["states"]),
-            layout_from(meta["auxiliaries"]),
-        )
-        keywords = {
+        fields = {
+            "dynamics": dynamics,
+            "representation": representation,
+            "modes": modes,
+            "sites": sites,
+            "states": layout_from(meta["states"]),
+            "auxiliaries": layout_from(meta["auxiliaries"]),
             "cell": meta["cell"],
             "horizon": meta["horizon"],
             "z_start": arrays.get("z_start"),
@@ -152,7 +152,7 @@ def read_parts(path: str | Path) -> tuple[tuple[Any, ...], dict[str, Any]]:
             "refits": arrays.get("refits"),
             "left_out": str(meta.get("left_out", "run")),
         }
-    return args, keywords
+    return fields
 
 
 def _bands(arrays: dict[str, np.ndarray], meta: list | None) -> ErrorBands | None:
@@ -160,7 +160,9 @@ def _bands(arrays: dict[str, np.ndarray], meta: list | None) -> ErrorBands | Non
         return None
     levels, folds, runs = meta
     width = {kind: arrays[f"band {kind}"] for kind in KINDS}
-    return ErrorBands(arrays["band times"], tuple(levels), width, folds, runs)
+    return ErrorBands(
+        t=arrays["band times"], levels=tuple(levels), width=width, folds=folds, runs=runs
+    )
 
 
 def _monitor(meta: dict[str, Any] | None) -> ValidityMonitor | None:

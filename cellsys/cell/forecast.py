@@ -22,7 +22,7 @@ KINDS = ("centroid", "plane", "height", "load")
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ErrorBands:
     """Half widths from residuals of runs left out, by conformal quantiles.
 
@@ -109,11 +109,13 @@ def conformal_bands(misses: Sequence[dict[str, np.ndarray]], dt: float, folds: i
             near = [pooled[max(k - WINDOW, 0) : k + WINDOW + 1] for k in range(K)]
             rows.append([float(np.quantile(part, level)) for part in near])
         width[kind] = np.array(rows)
-    return ErrorBands(dt * np.arange(K), LEVELS, width, folds, len(misses))
+    return ErrorBands(
+        t=dt * np.arange(K), levels=LEVELS, width=width, folds=folds, runs=len(misses)
+    )
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ValidityMonitor:
     """Ranges seen in training, with a margin, checked as a simulation goes on.
 
@@ -149,11 +151,11 @@ class ValidityMonitor:
             latent = np.maximum(latent, sizes.max(axis=0))
             strain = max(strain, float(shape.max()))
         return cls(
-            (float(amplitudes.min()), float(amplitudes.max())),
-            float(max(turns)),
-            tuple(float(v) for v in latent),
-            strain,
-            model.dt * max(r.steps for r in records),
+            amplitude=(float(amplitudes.min()), float(amplitudes.max())),
+            turning=float(max(turns)),
+            latent=tuple(float(v) for v in latent),
+            strain=strain,
+            time=model.dt * max(r.steps for r in records),
         )
 
     def check(
@@ -220,7 +222,7 @@ def _sizes(model: Any, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Forecast(Drawable):
     """A roll-out with its bands and flags.
 

@@ -37,7 +37,7 @@ class Pole:
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class EquivariantModel(AffineModel):
     """A cell as azimuthal charges; see `CellDynamics` [notes: theory, equivariant cell].
 
@@ -96,9 +96,9 @@ class EquivariantModel(AffineModel):
         A, B, b = self.dynamics.step_matrices(horizon)
         # The checks of a plain model hold for the frozen one.
         frozen = LatentModel(
-            (A - np.eye(len(A))) / dt,
-            B / dt,
-            b / dt,
+            A=(A - np.eye(len(A))) / dt,
+            B=B / dt,
+            offset=b / dt,
             dt=dt,
             input_names=harmonic_names(self.cell),
             z_start=self.z_start,
@@ -117,9 +117,9 @@ class EquivariantModel(AffineModel):
         A, B, b = self.dynamics.step_matrices(float(t))
         dt = self.dynamics.dt
         return LatentModel(
-            (A - np.eye(len(A))) / dt,
-            B / dt,
-            b / dt,
+            A=(A - np.eye(len(A))) / dt,
+            B=B / dt,
+            offset=b / dt,
             dt=dt,
             input_names=self.input_names,
             z_start=self.z_start,
@@ -299,7 +299,9 @@ class EquivariantModel(AffineModel):
             width[:, :2] = self.bands.at("plane", t, level)[:, None]
             width[:, 2] = self.bands.at("height", t, level)
         flags = () if self.monitor is None else self.monitor.check(self, t, z, amplitude, heading)
-        return Forecast(t, z, self.nodes(z), width, level, tuple(flags))
+        return Forecast(
+            t=t, z=z, nodes=self.nodes(z), half_width=width, level=level, flags=tuple(flags)
+        )
 
     # Files
 
@@ -321,9 +323,9 @@ class EquivariantModel(AffineModel):
         FileFormatError
             Anything else than a whole equivariant model, or one whose norm exceeds 1.
         """
-        args, keywords = read_parts(path)
+        fields = read_parts(path)
         try:
-            model = cls(*args, **keywords)
+            model = cls(**fields)
         except (KeyError, TypeError, ValueError) as error:
             raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
         certified = bool(model.notes.get("contractive", True))

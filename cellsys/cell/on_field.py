@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -80,6 +80,7 @@ class CellsOnField:
 
     model: EquivariantModel
     field: SteppedField
+    _: KW_ONLY
     tolerance: float = 1e-5
     cap: Count = 60
     sites: PortSites = dataclasses.field(init=False, repr=False)
@@ -257,7 +258,7 @@ class CellsOnField:
         """z (K, m) and the field's coordinates."""
         order = self.field.order
         return Layout(
-            [Block("z", (K, self.model.order)), Block("field.modes", (order,), "um", "field")]
+            [Block("z", (K, self.model.order)), Block("field.modes", (order,), "um", role="field")]
         )
 
     def pack(self, state: PortedState) -> np.ndarray:
@@ -302,7 +303,7 @@ class CommandedCells:
     def states(self) -> Layout:
         """z, field, and the field's velocity over the last step."""
         z, q = self.whole.layout(self.n_cells)
-        return Layout([z, q, Block("field.rate", q.shape, "um/s", "field")])
+        return Layout([z, q, Block("field.rate", q.shape, "um/s", role="field")])
 
     @property
     def x0(self) -> np.ndarray:

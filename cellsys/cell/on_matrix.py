@@ -46,7 +46,7 @@ def matrix_row(
     records = read_records(test, model.dt, port, model.sites)
     moved = [_displacement(known, r, model.dt)
              for r in read_records(known, model.dt, port, model.sites)]  # fmt: skip
-    cells = CellsOnField(model, field)
+    cells = CellsOnField(model=model, field=field)
     miss: dict[str, list[float]] = {"model": [], "floor": [], "nothing moves": []}
     for record in records:
         truth = _displacement(test, record, model.dt)

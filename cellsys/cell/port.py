@@ -182,15 +182,15 @@ class PortSites:
         inside = np.flatnonzero((offset**2).sum(axis=1) < port.reach**2)
         weight = self.area[inside] * (1.0 - (offset[inside] ** 2).sum(axis=1) / port.reach**2)
         return Footprint(
-            port,
-            self.nodes[inside],
-            self.area[inside],
-            weight / weight.sum(),
-            port.at(offset[inside]),
+            port=port,
+            nodes=self.nodes[inside],
+            area=self.area[inside],
+            weight=weight / weight.sum(),
+            at=port.at(offset[inside]),
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Footprint:
     """A port at one place: the nodes under it and the port's functions there.
 

@@ -12,7 +12,7 @@ from cellsys.samples.snapshots import RunData, Snapshots
 from cellsys.trajectory import cell_names
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CellRecord:
     """One cell of one run on the grid of the model's step.
 
@@ -122,14 +122,14 @@ def _record(
     mean = table[: steps * every].reshape(steps, every, 3).mean(axis=1)
     run.release()
     return CellRecord(
-        nodes,
-        loads,
-        velocity,
-        mean[:, 0],
-        np.arctan2(mean[:, 2], mean[:, 1]),
-        index,
-        name,
-        label,
+        nodes=nodes,
+        loads=loads,
+        velocity=velocity,
+        amplitude=mean[:, 0],
+        heading=np.arctan2(mean[:, 2], mean[:, 1]),
+        run=index,
+        cell=name,
+        label=label,
     )
 
 

@@ -43,7 +43,7 @@ from cellsys.trajectory import cell_names
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Equivariant:
     """Charges of shape and load, contractive blocks on a clock, trained on whole roll-outs.
 
@@ -175,15 +175,17 @@ class Equivariant:
             blocks.append(ChargeBlock(p.A, p.S @ p.B, p.gamma, C))
             if q == 1:
                 alone, riding = self._read_outs(records, features, *in_norm(p, rows))
-        dynamics = CellDynamics(tuple(blocks), self.clock, self.step, alone, riding)
+        dynamics = CellDynamics(
+            blocks=tuple(blocks), clock=self.clock, dt=self.step, alone=alone, riding=riding
+        )
         last = max(len(run.x) for run in data.runs) - 1
         model = EquivariantModel(
-            dynamics,
-            representation,
-            modes,
-            sites,
-            data.states,
-            data.auxiliaries,
+            dynamics=dynamics,
+            representation=representation,
+            modes=modes,
+            sites=sites,
+            states=data.states,
+            auxiliaries=data.auxiliaries,
             cell=cell_names(data.states)[0],
             horizon=last * data.dt,
             notes={
@@ -326,7 +328,12 @@ def charge_data(
     K = len(w)
     counts = _stack([np.ones((len(a), 1)) + (1j if q else 0) for a in x], K + 1, q)
     return ChargeData(
-        _stack(x, K + 1, q), _stack(u, K, q), _stack(v, K, q), w, weight, counts[..., 0]
+        x=_stack(x, K + 1, q),
+        u=_stack(u, K, q),
+        v=_stack(v, K, q),
+        w=w,
+        weight=weight,
+        counts=counts[..., 0],
     )
 
 

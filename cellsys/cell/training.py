@@ -25,7 +25,7 @@ from cellsys.errors import ParameterError
 SPREAD = 10.0  # greatest stretch of the learned norm against the whitened one
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ChargeData:
     """Rows (R) of one charge over K steps.
 

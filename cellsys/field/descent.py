@@ -23,7 +23,7 @@ _ROUND = 12  # corrections with one fresh tangent
 _ROUNDING = 1e-11  # of the energies in play: what sums over thousands of fibres lose
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StepInfo:
     """How one implicit step went.
 
@@ -49,7 +49,7 @@ class StepInfo:
     gain: float
 
 
-@dataclass
+@dataclass(kw_only=True)
 class StepMemory:
     """What one step may hand to the next of the same size: secant pairs, last state, last move.
 
@@ -68,7 +68,7 @@ class StepMemory:
         return self.q is not None and np.array_equal(self.q, q)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StepProblem:
     """The functions a step needs: energy, force, solve with the kept and with a fresh tangent."""
 
@@ -236,4 +236,11 @@ def implicit_step(
             step=dt,
         )
     memory.q, memory.force, memory.energy, memory.move = q, F, U, q - q0
-    return q, StepInfo(state.evaluations, left, state.halvings, state.fresh, work, gain)
+    return q, StepInfo(
+        iterations=state.evaluations,
+        residual=left,
+        halvings=state.halvings,
+        fresh=state.fresh,
+        work=work,
+        gain=gain,
+    )

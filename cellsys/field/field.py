@@ -168,13 +168,15 @@ class GradientField(LinearisedField):
         if self.linear:
             end = self._kept_solver(dt)((self.drag / dt) * q + load)
             work, gain = float(load @ (end - q)), self.energy(end) - self.energy(q)
-            return self._finite(end, q, dt, t), StepInfo(1, 0.0, 0, 0, work, gain)
+            return self._finite(end, q, dt, t), StepInfo(
+                iterations=1, residual=0.0, halvings=0, fresh=0, work=work, gain=gain
+            )
         problem = StepProblem(
-            self.drag,
-            self.energy,
-            self.force,
-            self._kept_solver(dt),
-            lambda at: self._fresh_solver(at, dt),
+            drag=self.drag,
+            energy=self.energy,
+            force=self.force,
+            kept=self._kept_solver(dt),
+            fresh=lambda at: self._fresh_solver(at, dt),
         )
         return implicit_step(
             problem,

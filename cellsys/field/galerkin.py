@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -63,6 +63,7 @@ class GalerkinField(GradientField):
     """
 
     system: SpreadingSystem = field(repr=False)
+    _: KW_ONLY
     order: int = 200
     linear: bool = False
     seed: Seed = 0
@@ -125,7 +126,7 @@ class GalerkinField(GradientField):
         if not 1 <= order <= self.order:
             raise ParameterError(f"order must be between 1 and {self.order}, got {order}")
         return GalerkinField(
-            self.system,
+            system=self.system,
             linear=self.linear if linear is None else linear,
             seed=self.seed,
             slope=self.slope,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ class FullField(GradientField):
     """
 
     system: SpreadingSystem = field(repr=False)
+    _: KW_ONLY
     linear: bool = False
     slope: float = 0.85
     tolerance: float = 1e-4
@@ -90,4 +91,4 @@ def full_field(
     tolerance : float
         Residual of a step over its load.
     """
-    return FullField(system, linear=linear, tolerance=tolerance)
+    return FullField(system=system, linear=linear, tolerance=tolerance)

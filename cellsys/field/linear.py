@@ -101,13 +101,13 @@ class LinearisedField:
             offset = (self.force(at) + K @ np.asarray(at, dtype=float)) / self.drag
         V = self.modes.toarray() if is_sparse(self.modes) else self.modes
         return LatentModel(
-            -K / self.drag,
+            A=-K / self.drag,
             B=E.T / self.drag,
             offset=offset,
             V=V,
             n_states=len(V),
             blocks={"component": np.arange(0), "field": np.arange(len(V))},
-            states=Layout([Block("matrix.displacement", self.nodes.shape, "um", "field")]),
+            states=Layout([Block("matrix.displacement", self.nodes.shape, "um", role="field")]),
             input_names=tuple(names),
         )
 
@@ -134,11 +134,11 @@ class LinearisedField:
         overlap = self.modes.T @ self.modes
         eye = sp.eye_array(self.order) if sp.issparse(overlap) else np.eye(self.order)
         return FieldPassivity(
-            float(dt),
-            low,
-            -2.0 * self.drag / dt,
-            step_index(np.array([low, high]), self.drag, dt),
-            abs(float(F @ d) + rise) / max(float(np.linalg.norm(F)), 1e-300),
-            float(abs(K - K.T).max()) / size,
-            float(abs(overlap - eye).max()),
+            dt=float(dt),
+            least_curvature=low,
+            bound=-2.0 * self.drag / dt,
+            index=step_index(np.array([low, high]), self.drag, dt),
+            residual=abs(float(F @ d) + rise) / max(float(np.linalg.norm(F)), 1e-300),
+            asymmetry=float(abs(K - K.T).max()) / size,
+            collocation=float(abs(overlap - eye).max()),
         )

@@ -20,7 +20,7 @@ _ANGLES = 400  # frequencies on the unit circle
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FieldPassivity(Shown):
     """What the passivity of a field rests on; from `GradientField.passivity`.
 

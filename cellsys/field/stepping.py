@@ -36,7 +36,7 @@ class FieldSystem:
     @property
     def states(self) -> Layout:
         """``field.modes`` (order,), um."""
-        return Layout([Block("field.modes", (self.field.order,), "um", "field")])
+        return Layout([Block("field.modes", (self.field.order,), "um", role="field")])
 
     @property
     def better_by(self) -> tuple[str, float]:

@@ -118,7 +118,7 @@ class Exponential:
         x = np.empty((T, n))
         # Overflow of an unstable linear part is reported by the solver with its time.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            path = Path([float(t[0])], [], [], [w])
+            path = Path(edges=[float(t[0])], lengths=[], y=[], w=[w])
             if T > 1:
                 path = solver.run(float(t[0]), float(t[-1]), spacing(t) or 1.0, w, y)
                 sample(system, flow, path, t, s, 0.1 * (rtol + atol), x)
@@ -140,7 +140,7 @@ class Exponential:
             return error
 
         eta = np.zeros((max(T - 1, 0), 0)) if averages else None
-        return Solution(x, eta, u, statistics, estimate=estimate)
+        return Solution(x=x, eta=eta, u=u, statistics=statistics, estimate=estimate)
 
     @staticmethod
     def _averages(

@@ -77,7 +77,7 @@ class ExponentialStepper:
                         u[k] += share * system.u(*middle)
                 x[k + 1] = state
         statistics = {**self.counts, "solve_time": clock.perf_counter() - began}
-        return Solution(x, eta, u, statistics)
+        return Solution(x=x, eta=eta, u=u, statistics=statistics)
 
     def _fail(self, before: np.ndarray, t: float, h: float) -> None:
         raise IntegrationError(

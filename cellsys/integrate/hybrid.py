@@ -104,7 +104,7 @@ class _Run:
             "shortest_interval": self.shortest,
             "solve_time": clock.perf_counter() - began,
         }
-        return Solution(self.x, self.eta, self.u, statistics, self.events)
+        return Solution(x=self.x, eta=self.eta, u=self.u, statistics=statistics, events=self.events)
 
     def _piece(self, stop: float) -> None:
         """Integrate to the next event or to `stop`."""

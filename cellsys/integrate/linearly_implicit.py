@@ -80,7 +80,7 @@ class LinearlyImplicit:
         return _ImplicitStepper(self, system, t0, x0, rng)
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Factor:
     """A kept factorisation of C/dt + M on one block of states.
 
@@ -159,7 +159,7 @@ class _ImplicitStepper(Stepper):
         keep = self.moving[block.index[:, 0]]
         index = block.index[keep]
         if not index.size:  # all of it is held
-            return _Factor(index, slice(0, 0), block.key, dt, None)
+            return _Factor(index=index, where=slice(0, 0), key=block.key, dt=dt, solve=None)
         matrix = block.matrix()
         if not keep.all():
             matrix = sp.csc_array(matrix)[:, keep][keep]
@@ -170,7 +170,7 @@ class _ImplicitStepper(Stepper):
         first = int(index.min(initial=0))
         in_line = np.array_equal(index.ravel(), np.arange(first, first + index.size))
         where = slice(first, first + index.size) if in_line else index
-        return _Factor(index, where, block.key, dt, solve)
+        return _Factor(index=index, where=where, key=block.key, dt=dt, solve=solve)
 
     def _solve(self, rhs: np.ndarray, low_rank: tuple) -> np.ndarray:
         """(C/dt + M + sum of k g g^T)^-1 rhs by kept factors and the Woodbury identity.

@@ -53,7 +53,7 @@ class MemorySink:
 def auxiliary_layout(system: OdeSystem) -> Layout:
     """Auxiliaries as logged: the system's own, then ``step_residual`` (n,)."""
     return system.auxiliaries + Layout(
-        [Block("step_residual", (system.states.size,), "state/s", "component", "rate")]
+        [Block("step_residual", (system.states.size,), "state/s", role="component", kind="rate")]
     )
 
 

@@ -23,7 +23,7 @@ _LOG_FACTORIAL = float(np.sum(np.log(np.arange(1, NODES + 1))))
 _LOG_CLOSED = float(np.log(1e-13))  # share of the kernel that may be lost by interpolating it
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Semilinear:
     """z' = A z + B c(y) + b, y' = r(y, S z + s), for `cells` cells with the same matrices.
 

@@ -11,7 +11,7 @@ import numpy as np
 from cellsys.system import Event
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Solution:
     """Samples, interval averages, statistics and events of a run.
 

@@ -171,9 +171,9 @@ def simulate_steps(
         return _march(run_of(better), x0, held, parts * marks, float(times[0]))
 
     return Trajectory(
-        times,
-        rows,
-        run.recorded,
+        t=times,
+        x=rows,
+        states=run.recorded,
         **run.observed(marks, rows),
         events=tuple(run.events()),
         statistics=statistics,

@@ -228,7 +228,7 @@ def solve_symbolic(
         eta, u = mean[:, :n_eta], mean[:, n_eta:]
     took = clock.perf_counter() - began
     statistics = {**counts, "construction_time": built, "solve_time": took - built}
-    return Solution(x, eta, u, statistics)
+    return Solution(x=x, eta=eta, u=u, statistics=statistics)
 
 
 def pieces(t: np.ndarray, stops: np.ndarray) -> list[tuple[np.ndarray, tuple[int, int, int]]]:

@@ -102,7 +102,7 @@ def foreseen(size: np.ndarray, factor: float) -> float:
     return float(falling[1] * np.exp(-(s - 2) * np.arcsinh(np.sinh(a) / factor)) / s)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class WindowTable:
     """What a window of length h needs, for one system."""
 
@@ -129,11 +129,15 @@ def make_table(
     Q = Q[:, :-1].transpose(2, 0, 3, 1).reshape(s * n_o, s * (n_c - 1))
     end = h * np.tensordot(kernel, T[:, -1], axes=(0, 0))
     return WindowTable(
-        flow.observer(h * g.nodes), constant, np.ascontiguousarray(Q), flow.exponential(h), end
+        observe=flow.observer(h * g.nodes),
+        constant=constant,
+        Q=np.ascontiguousarray(Q),
+        E=flow.exponential(h),
+        end=end,
     )
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Path:
     """The windows of a solved run."""
 
@@ -249,7 +253,7 @@ class WindowSolver:
         `unit` is the spacing of the samples, where they have one, so that samples fall on equal
         fractions of every window.
         """
-        path = Path([t0], [], [], [w])
+        path = Path(edges=[t0], lengths=[], y=[], w=[w])
         t, last, held = t0, None, 0
         h = unit * 2.0 ** np.floor(np.log2(max(self._first(w, y), 1e-12) / unit))
         while t < t_end:

@@ -45,7 +45,7 @@ from cellsys.units import real_array
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Linearisation(Drawable):
     """The loop linearised about one point.
 
@@ -98,7 +98,7 @@ class Linearisation(Drawable):
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ClosedLoop:
     """Plant, controller and sensor joined.
 
@@ -167,7 +167,9 @@ class ClosedLoop:
         W = np.zeros((m + 3, m + 3))
         W[:m, :m] = A
         system = ClosedLoopSystem(
-            states=Layout([Block("z", (m,)), Block("p", (3,), "1", "controller", "internal")]),
+            states=Layout(
+                [Block("z", (m,)), Block("p", (3,), "1", role="controller", kind="internal")]
+            ),
             x0=np.concatenate([self.z0, self.p0]),
             W_x=sp.csr_array(W),
             forcing=numeric,
@@ -241,7 +243,19 @@ class ClosedLoop:
         A, B_heading, S, slow = split_slow(A, B_heading[:, None], S[None], slower_than, known)
         B_heading, S = B_heading[:, 0], S[0]
         closed = np.block([[A, B_heading[:, None]], [kappa * S[None], -kappa * strength]])
-        return Linearisation(closed, z, p, d, residual, kappa, A, B_heading, S, strength, slow)
+        return Linearisation(
+            A=closed,
+            z=z,
+            p=p,
+            d=d,
+            residual=residual,
+            kappa=kappa,
+            A_plant=A,
+            B_heading=B_heading,
+            S_heading=S,
+            strength=strength,
+            slow=slow,
+        )
 
     def _features_slope(self, p: np.ndarray) -> np.ndarray:
         """dc/dtheta (n_c,) at heading theta of p."""

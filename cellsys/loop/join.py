@@ -120,13 +120,15 @@ def closed_loop(
     check_point(z0, p0)
     law = controller or PolarityLaw()
     if not isinstance(model, EquivariantModel):
-        return ClosedLoop(model, law, sensor, normalise, z0, p0)
+        return ClosedLoop(
+            model=model, controller=law, sensor=sensor, normalise=normalise, z0=z0, p0=p0
+        )
     if not normalise:
         raise ParameterError(
             "normalise=False is for a plant that is the same at all times; the loop of an "
             "equivariant cell takes the direction with |d| = 1; use closed_loop(model.at(t))"
         )
-    return ScheduledLoop(model, law, sensor, z0, p0)
+    return ScheduledLoop(model=model, controller=law, sensor=sensor, z0=z0, p0=p0)
 
 
 @checked
@@ -146,7 +148,9 @@ def loop_copies(loop: ClosedLoop, z0: np.ndarray, p0: np.ndarray) -> LoopCopies:
         raise DimensionError("z0 and p0 must hold at least one cell")
     A = loop.model.continuous_matrices()[0]
     system = LoopCopies(
-        states=Layout([Block("z", (K, m)), Block("p", (K, 3), "1", "controller", "internal")]),
+        states=Layout(
+            [Block("z", (K, m)), Block("p", (K, 3), "1", role="controller", kind="internal")]
+        ),
         x0=np.concatenate([z0.ravel(), p0.ravel()]),
         W_x=sp.csr_array(sp.block_diag([*[A] * K, sp.csr_array((3 * K, 3 * K))], format="csr")),
     )

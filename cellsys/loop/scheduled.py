@@ -31,7 +31,7 @@ from cellsys.trajectory import Trajectory
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ScheduledLoop:
     """Equivariant plant, controller and sensor joined.
 
@@ -101,7 +101,9 @@ class ScheduledLoop:
     def system(self) -> ScheduledSystem:
         """The loop as a system with a step of its own, for `simulate`."""
         start = np.concatenate([self.z0, self.p0])
-        return ScheduledSystem(self.model, self.controller, self.sensor, start)
+        return ScheduledSystem(
+            model=self.model, controller=self.controller, sensor=self.sensor, x0=start
+        )
 
     def linearize(self, at: float | None = None, *, slower_than: float = 0.0) -> Any:
         """`Linearisation` of the loop with the plant frozen at time `at` (default: the end).
@@ -143,4 +145,11 @@ class ScheduledLoop:
         plain, sensor = replace(self.model.at(t), z_start=self.z0), self.sensor
         if isinstance(sensor, LocalSensor):
             sensor = sensor.frozen(self.z0 if z is None else z)
-        return ClosedLoop(plain, self.controller, sensor, True, self.z0, self.p0)
+        return ClosedLoop(
+            model=plain,
+            controller=self.controller,
+            sensor=sensor,
+            normalise=True,
+            z0=self.z0,
+            p0=self.p0,
+        )

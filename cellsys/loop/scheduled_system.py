@@ -18,7 +18,7 @@ from cellsys.model.sensor import StiffnessSensor
 from cellsys.system import Block, Event, Layout
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ScheduledSystem:
     """Plant, controller and sensor of a `ScheduledLoop`, a step of the plant at a time.
 
@@ -48,7 +48,10 @@ class ScheduledSystem:
     def states(self) -> Layout:
         """z (m,) and p (3,)."""
         return Layout(
-            [Block("z", (self.model.order,)), Block("p", (3,), "1", "controller", "internal")]
+            [
+                Block("z", (self.model.order,)),
+                Block("p", (3,), "1", role="controller", kind="internal"),
+            ]
         )
 
     @property
@@ -58,7 +61,13 @@ class ScheduledSystem:
 
     def better(self) -> ScheduledSystem:
         """The heading followed inside each step."""
-        return ScheduledSystem(self.model, self.controller, self.sensor, self.x0, inside=True)
+        return ScheduledSystem(
+            model=self.model,
+            controller=self.controller,
+            sensor=self.sensor,
+            x0=self.x0,
+            inside=True,
+        )
 
     def begin(self) -> ScheduledRun:
         """A run, which keeps what its events are read from."""

@@ -22,7 +22,7 @@ _WIDE = 24  # most columns of a supernode: its square block is inverted
 _SMALL = 12  # supernodes of together this many columns are joined whatever the zeros
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Analysis:
     """Order, supernodes and index maps of one pattern; see `kernels.factorise` for the fields."""
 
@@ -154,21 +154,21 @@ def analyse(matrix: sp.csc_array) -> Analysis:
         m = width[s] + height[s]
         target[e] = (j[e] - first[s]) * m + _within(node, i[e])
     return Analysis(
-        matrix.indptr.copy(),
-        matrix.indices.copy(),
-        order,
-        source,
-        target,
-        entries,
-        first,
-        starts,
-        below,
-        place,
-        children,
-        np.concatenate([[0], np.cumsum(width * height)]),
-        np.concatenate([[0], np.cumsum(width**2)]),
-        int(((width + height) ** 2).max()),
-        deepest,
+        indptr=matrix.indptr.copy(),
+        indices=matrix.indices.copy(),
+        order=order,
+        source=source,
+        target=target,
+        entries=entries,
+        first=first,
+        start=starts,
+        rows=below,
+        place=place,
+        children=children,
+        panel_at=np.concatenate([[0], np.cumsum(width * height)]),
+        corner_at=np.concatenate([[0], np.cumsum(width**2)]),
+        front=int(((width + height) ** 2).max()),
+        stack=deepest,
     )
 
 

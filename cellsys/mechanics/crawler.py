@@ -175,18 +175,22 @@ class CrawlerSystem(OdeSystem):
         K, N = len(cells), chain.nodes
         names = [f"cell{k + 1}" for k in range(K)]
         states = Layout(
-            [Block(f"{n}.{s}", (), u, "component", k) for n in names for s, u, k in _CELL_STATES]
-            + [Block("chain.displacement", (N,), "um", "field")]
+            [
+                Block(f"{n}.{s}", (), u, role="component", kind=k)
+                for n in names
+                for s, u, k in _CELL_STATES
+            ]
+            + [Block("chain.displacement", (N,), "um", role="field")]
             + [
-                Block(f"{n}.{s}", (), "1", "component", "internal")
+                Block(f"{n}.{s}", (), "1", role="component", kind="internal")
                 for n in names
                 for s in ("i_lead", "i_trail")
             ]
         )
         auxiliaries = Layout(
-            [Block(f"{n}.{a}", (), u, "component", "rate") for n in names
+            [Block(f"{n}.{a}", (), u, role="component", kind="rate") for n in names
              for a, u in _CELL_AUXILIARIES]
-            + [Block("chain.velocity", (N,), "um/s", "field", "rate")]
+            + [Block("chain.velocity", (N,), "um/s", role="field", kind="rate")]
         )  # fmt: skip
         table = np.array([c.row() for c in cells])
         numbers = np.array([chain.spacing, chain.stiffness, chain.stiffening, chain.drag])
@@ -319,5 +323,9 @@ def _events(table: np.ndarray, numbers: np.ndarray, N: int) -> list[EventFunctio
     for c in range(len(table)):
         for trail, name in ((False, "lead takes the next node"), (True, "trail breaks")):
             guard, reset = pair(c, trail)
-            out.append(EventFunction(f"cell{c + 1} {name}", guard, -1, reset, True))
+            out.append(
+                EventFunction(
+                    name=f"cell{c + 1} {name}", guard=guard, direction=-1, reset=reset, level=True
+                )
+            )
     return out

@@ -22,7 +22,7 @@ CHATTER = 1e-3  # intervals below this share of the median one are chatter
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CrawlRun(Drawable):
     """A crawler's run and its outcome.
 
@@ -81,14 +81,22 @@ def crawl(
     try:
         run = simulate(system, integrator, t, x0)
     except IntegrationError as error:
-        return CrawlRun(system, None, "stopped", str(error), 0)
+        return CrawlRun(
+            system=system, trajectory=None, outcome="stopped", reason=str(error), chatter=0
+        )
     return judge(system, run)
 
 
 def judge(system: CrawlerSystem, run: Trajectory) -> CrawlRun:
     """Name the outcome of a crawler's trajectory: finished, or stalled and why."""
     reason = _stall(system, run)
-    return CrawlRun(system, run, "stalled" if reason else "finished", reason, chatter(run.events))
+    return CrawlRun(
+        system=system,
+        trajectory=run,
+        outcome="stalled" if reason else "finished",
+        reason=reason,
+        chatter=chatter(run.events),
+    )
 
 
 def chatter(events: tuple[Event, ...]) -> int:

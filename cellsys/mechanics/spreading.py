@@ -70,11 +70,17 @@ def build_spreading(
                 elements.extend(effect.elements(replace(site, arrays=tuple(arrays))))
         return replace(site, arrays=tuple(arrays), built=tuple(elements))
 
-    whole = Site(None, matrix, None, effects, bodies)
+    whole = Site(cell=None, matrix=matrix, commands=None, effects=effects, cells=bodies)
     if matrix is not None:
         attach("matrix", effects, whole)
     for cell in cells:
-        own = Site(cell.body, matrix, cell.commands, {**effects, **cell.effects}, bodies)
+        own = Site(
+            cell=cell.body,
+            matrix=matrix,
+            commands=cell.commands,
+            effects={**effects, **cell.effects},
+            cells=bodies,
+        )
         attach("cell", cell.effects, own)
         if any(effect.steers for effect in cell.effects.values()):
             from cellsys.mechanics.effects.steering import polarity_element
@@ -100,7 +106,7 @@ def node_arrays(
     if matrix is not None:
         shape = matrix.position.shape
         c = np.where(matrix.clamped, np.inf, drag.matrix)[:, None] * np.ones(3)
-        block = Block("matrix.displacement", shape, "um", "field")
+        block = Block("matrix.displacement", shape, "um", role="field")
         nodes.append(JunctionArray(MATRIX, block, np.zeros(shape), c))
     if not nodes:
         raise SceneError("a scene needs at least one cell or a matrix")

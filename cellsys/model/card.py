@@ -26,7 +26,7 @@ DIVERGED = 1e6  # a relative error beyond this is reported as "diverges"
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Card(Shown):
     """What a model is worth.
 

@@ -124,4 +124,4 @@ def layout_from(table: list[_Row] | None) -> Layout | None:
     """A layout from plain values."""
     if table is None:
         return None
-    return Layout([Block(n, tuple(s), u, r, k) for n, s, u, r, k in table])
+    return Layout([Block(n, tuple(s), u, role=r, kind=k) for n, s, u, r, k in table])

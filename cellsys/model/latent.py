@@ -46,7 +46,7 @@ class _Rows(NamedTuple):
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LatentModel(AffineModel):
     """A reduced model, continuous or the generator of a step.
 

@@ -14,7 +14,7 @@ Which inputs are used, the squares among them, is decided by leaving out one run
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -92,7 +92,7 @@ class StiffnessMap:
         return np.column_stack([(a - b) / (2 * h) for a, b in ends])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LocalSensor(StiffnessSensor):
     """`StiffnessSensor` with what is known of the network at the cell's place.
 
@@ -175,9 +175,8 @@ class LocalSensor(StiffnessSensor):
         x, y = z[-2:]
         S[:, -2:] += self.K_q @ np.array([[2 * x, 0.0], [y, x], [0.0, 2 * y]])
         K_d = np.column_stack([self.raw(z) - S @ z, S])
-        return StiffnessSensor(
-            K_d, self.ridge, self.training_error, self.held_out_error, self.constant_error
-        )
+        carried = {f.name: getattr(self, f.name) for f in fields(StiffnessSensor)}
+        return StiffnessSensor(**carried | {"K_d": K_d})
 
     def arrays(self) -> Mapping[str, np.ndarray]:
         """Plain arrays for a file."""
@@ -226,7 +225,7 @@ def _squares(place: np.ndarray) -> np.ndarray:
     return np.stack([x * x, x * y, y * y], axis=-1)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class _Table:
     """Samples of all runs: what the choices take their columns from."""
 
@@ -302,7 +301,9 @@ def fit_local_sensor(
         if [np.shape(q) for q in each] != [(len(z), 2) for z in latent]:
             raise DimensionError(f"moments of {name} must be (T_i, 2), a row per latent sample")
     at_rest = [known.moment(z[:, -2:]) for z in latent]
-    table = _Table(latent, directions, moments, at_rest, charge)
+    table = _Table(
+        latent=latent, directions=directions, moments=moments, at_rest=at_rest, charge=charge
+    )
     everyone = range(len(latent))
     choices = [c for c, parts in CHOICES.items() if not parts[2] or parts[2] in moments]
     total = {c: np.zeros(len(RIDGES)) for c in choices}
@@ -341,7 +342,7 @@ def _chosen(table: _Table, known: StiffnessMap, name: str, ridge: float) -> Loca
     K_t, rest = (rest[:, :2], rest[:, 2:]) if moment else (FILLED, rest)
     a, M = moment or (0.0, FILLED)
     return LocalSensor(
-        K_d, ridge, K_s=K_s, map=known, inputs=name, K_t=K_t, M=M, a=a,
+        K_d=K_d, ridge=ridge, K_s=K_s, map=known, inputs=name, K_t=K_t, M=M, a=a,
         K_q=rest if squared else FILLED,
     )  # fmt: skip
 

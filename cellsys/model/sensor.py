@@ -9,7 +9,7 @@ is used [notes: theory, sensor].
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 import scipy.linalg as sla
@@ -36,6 +36,7 @@ class StiffnessSensor:
     """
 
     K_d: np.ndarray
+    _: KW_ONLY
     ridge: float = 0.0
     training_error: float = float("nan")
     held_out_error: float = float("nan")
@@ -135,11 +136,15 @@ def fit_sensor(
     )
     truth = np.concatenate(shown_d)
     return StiffnessSensor(
-        K_d,
-        best,
-        angle_error(_predict(K_d, np.concatenate(latent)), np.concatenate(directions)),
-        angle_error(_predict(K_d, np.concatenate(shown_z)), truth) if test_latent else float("nan"),
-        angle_error(np.tile(mean, (len(truth), 1)), truth),
+        K_d=K_d,
+        ridge=best,
+        training_error=angle_error(
+            _predict(K_d, np.concatenate(latent)), np.concatenate(directions)
+        ),
+        held_out_error=angle_error(_predict(K_d, np.concatenate(shown_z)), truth)
+        if test_latent
+        else float("nan"),
+        constant_error=angle_error(np.tile(mean, (len(truth), 1)), truth),
     )
 
 

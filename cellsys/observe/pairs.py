@@ -29,7 +29,7 @@ RIM = 0.87  # share of the matrix radius beyond which the clamped edge is felt
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PairReadout(Shown):
     """What two cells do to each other's matrix, beside one cell alone.
 
@@ -155,13 +155,13 @@ def observe_pair(run: Trajectory, alone: Sequence[Trajectory], rest: np.ndarray)
 
     between = edge_gap(run)
     return PairReadout(
-        run.t[:-1],
-        between,
-        between / between[0] if between[0] > 0 else np.full(T, np.nan),
-        mean(speeds[0], gap),
-        mean(speeds[0], periphery),
-        np.mean([mean(s, gap) for s in speeds[1:]], axis=0),
-        np.mean([mean(s, periphery) for s in speeds[1:]], axis=0),
+        t=run.t[:-1],
+        gap=between,
+        normalised_gap=between / between[0] if between[0] > 0 else np.full(T, np.nan),
+        gap_speed=mean(speeds[0], gap),
+        periphery_speed=mean(speeds[0], periphery),
+        gap_alone=np.mean([mean(s, gap) for s in speeds[1:]], axis=0),
+        periphery_alone=np.mean([mean(s, periphery) for s in speeds[1:]], axis=0),
     )
 
 
@@ -273,7 +273,7 @@ def pair_of(run: Trajectory, i: int, j: int) -> Trajectory:
         for new, old in ((1, i), (2, j))
         if f"cell{old + 1}.triangles" in run.geometry
     }
-    return Trajectory(run.t, x, Layout(blocks), geometry=geometry)
+    return Trajectory(t=run.t, x=x, states=Layout(blocks), geometry=geometry)
 
 
 @checked

@@ -82,7 +82,7 @@ class CellFlows:
 
 def polarities(n_cells: int) -> Block:
     """State block of every cell's polarity."""
-    return Block("p", (n_cells, 3), "1", "controller", "internal")
+    return Block("p", (n_cells, 3), "1", role="controller", kind="internal")
 
 
 def symbolic_cells(

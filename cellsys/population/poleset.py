@@ -12,7 +12,7 @@ from cellsys.drawable import Drawable
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PoleSet(Drawable):
     """Poles of a coupled system, each block's once.
 
@@ -91,5 +91,11 @@ def pole_set(
     order = np.lexsort((values.imag, -values.real))
     spread = None if spreads is None else np.concatenate(spreads)[order]
     return PoleSet(
-        values[order], times[order], omega[order], note, alternative is None, alternative, spread
+        values=values[order],
+        multiplicity=times[order],
+        omega=omega[order],
+        note=note,
+        determined=alternative is None,
+        alternative=alternative,
+        spread=spread,
     )

@@ -19,7 +19,7 @@ from cellsys.response.spectrum import backward_error, spectrum
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CoupledStability(Drawable):
     """What can be said about K coupled cells.
 
@@ -64,7 +64,7 @@ class CoupledStability(Drawable):
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class BlockVerdict:
     """Verdict on one matrix: abscissa and its error, numerical abscissa, integrators, chains."""
 
@@ -89,7 +89,9 @@ def judge(
     """
     discrete = dt > 0
     if not len(M):
-        return BlockVerdict("stable", -np.inf, 0.0, -np.inf, 0, 0)
+        return BlockVerdict(
+            verdict="stable", abscissa=-np.inf, error=0.0, numerical=-np.inf, integrators=0, chain=0
+        )
     largest = float(np.abs(M).max())
     if largest > LARGEST:
         raise DataError(
@@ -111,7 +113,14 @@ def judge(
             sla.eigh(0.5 * (M + M.T), eigvals_only=True, subset_by_index=(last, last))[0]
         )
     if not len(B):
-        return BlockVerdict("stable", -np.inf, 0.0, numerical, apart.count, 0)
+        return BlockVerdict(
+            verdict="stable",
+            abscissa=-np.inf,
+            error=0.0,
+            numerical=numerical,
+            integrators=apart.count,
+            chain=0,
+        )
     found = sla.eigvals(B) if eigenvalues is None or apart.count else eigenvalues
     excess = np.abs(found) - 1.0 if discrete else found.real
     unit = dt if discrete else 1.0  # of a rate: log(1 + excess) = excess near the circle
@@ -121,7 +130,14 @@ def judge(
     rounding = backward_error(len(M), float(sla.norm(M)))
     contracts = not discrete and numerical < -rounding
     if certainty is None and excess.max() < 0 and chain == 0 and contracts:
-        return BlockVerdict("stable", top, 0.0, numerical, apart.count, 0)
+        return BlockVerdict(
+            verdict="stable",
+            abscissa=top,
+            error=0.0,
+            numerical=numerical,
+            integrators=apart.count,
+            chain=0,
+        )
     known = widened(spectrum(B, found), certainty, dt)
     where = side(excess, known.bound)
     if chain or np.any(where > 0):
@@ -131,7 +147,14 @@ def judge(
     else:
         verdict = "not decided"
     error = float((excess + known.bound).max() - excess.max()) / unit
-    return BlockVerdict(verdict, top, error, numerical, apart.count, chain)
+    return BlockVerdict(
+        verdict=verdict,
+        abscissa=top,
+        error=error,
+        numerical=numerical,
+        integrators=apart.count,
+        chain=chain,
+    )
 
 
 def worst(verdicts: list[str]) -> str:
@@ -188,14 +211,14 @@ def stability_of(cells: Any) -> CoupledStability:
     if integrators:
         reason += f"; set apart: {integrators} integrators"
     return CoupledStability(
-        verdict,
-        reason,
-        top.abscissa,
-        top.error,
-        max(f.numerical for f in found),
-        integrators,
-        cells.pole_set(),
-        cells.route,
+        verdict=verdict,
+        reason=reason,
+        spectral_abscissa=top.abscissa,
+        abscissa_error=top.error,
+        numerical_abscissa=max(f.numerical for f in found),
+        integrators=integrators,
+        poles=cells.pole_set(),
+        route=cells.route,
     )
 
 

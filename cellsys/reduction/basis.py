@@ -56,7 +56,7 @@ class RandomisedSVD:
             raise ParameterError("RandomisedSVD needs oversample >= 1 and power >= 0")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LatentParts:
     """Latent samples split into the parts of x and of eta, now and one sample ahead.
 
@@ -89,13 +89,13 @@ class LatentParts:
                 out[1].append(rows[ks + 1])
         x_now, x_next, eta_now, eta_next = (np.concatenate(p) for p in parts)
         return cls(
-            x_now,
-            x_next,
-            eta_now,
-            eta_next,
-            data.run_ids,
-            np.concatenate([r.usable() for r in data.runs]),
-            data,
+            x_now=x_now,
+            x_next=x_next,
+            eta_now=eta_now,
+            eta_next=eta_next,
+            runs=data.run_ids,
+            samples=np.concatenate([r.usable() for r in data.runs]),
+            data=data,
         )
 
     def first(self, order: int) -> LatentParts:
@@ -137,7 +137,7 @@ class LatentParts:
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Basis:
     """V (columns, m) orthonormal, singular values, mean (columns,) and scale (columns,).
 
@@ -203,14 +203,14 @@ def truncated(basis: Basis | None, order: int) -> Basis | None:
     if basis is None or basis.V.shape[1] < order:
         return None
     return Basis(
-        basis.V[:, :order],
-        basis.singular_values[:order],
-        basis.mean,
-        basis.scale,
-        basis.total,
-        basis.dropped,
-        None if basis.residuals is None else basis.residuals[:order],
-        None if basis.parts is None else basis.parts.first(order),
+        V=basis.V[:, :order],
+        singular_values=basis.singular_values[:order],
+        mean=basis.mean,
+        scale=basis.scale,
+        total=basis.total,
+        dropped=basis.dropped,
+        residuals=None if basis.residuals is None else basis.residuals[:order],
+        parts=None if basis.parts is None else basis.parts.first(order),
     )
 
 
@@ -312,7 +312,15 @@ def fit_basis(
         )
     V = np.ascontiguousarray(V[:, :order])
     residuals = None if residuals is None else residuals[:order]
-    return Basis(V, s[:order], mean, scale, total, int(np.sum(scale == 0)), residuals)
+    return Basis(
+        V=V,
+        singular_values=s[:order],
+        mean=mean,
+        scale=scale,
+        total=total,
+        dropped=int(np.sum(scale == 0)),
+        residuals=residuals,
+    )
 
 
 def _randomised(

@@ -27,7 +27,7 @@ METHODS = (PCR(), LeastSquares(), Ridge(), Contractive())
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ComparedModel:
     """One row: what a model is worth held out, how stable it is, what it costs.
 
@@ -61,7 +61,7 @@ class ComparedModel:
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Comparison(Drawable):
     """Rows of `compare_reductors`, the baselines on the same runs, and the price of the basis."""
 
@@ -166,7 +166,13 @@ def compare_reductors(
         block = block or next(iter(held))
         seen = {k: v for k, v in held[block].items() if k in BASELINES} | seen
         rows.append(_row(model, method, held[block], seconds, test))
-    return Comparison(tuple(rows), seen, block, (len(train.runs), len(test.runs)), basis_s)
+    return Comparison(
+        rows=tuple(rows),
+        baselines=seen,
+        block=block,
+        runs=(len(train.runs), len(test.runs)),
+        basis_s=basis_s,
+    )
 
 
 def refuse_shared_runs(train: Snapshots, test: Snapshots) -> None:
@@ -237,19 +243,21 @@ def _row(
     fine = error < DIVERGED
     with np.errstate(over="ignore"):
         radius = float("nan") if model.dt is None else float(np.exp(model.dt * abscissa))
+    growth, growth_bound = model.card.growth
     return ComparedModel(
-        getattr(method, "name", type(method).__name__),
-        model.order,
-        described(method),
-        error if fine else float("inf"),
-        float(held.get("floor", float("nan"))),
-        abscissa,
-        radius,
-        seconds,
-        1e3 * _price(model, test) if fine else float("nan"),
-        model.card.verdict,
-        *model.card.growth,
-        held.get("resolution", 0.0),
+        method=getattr(method, "name", type(method).__name__),
+        order=model.order,
+        settings=described(method),
+        error=error if fine else float("inf"),
+        floor=float(held.get("floor", float("nan"))),
+        abscissa=abscissa,
+        radius=radius,
+        fit_s=seconds,
+        roll_out_ms=1e3 * _price(model, test) if fine else float("nan"),
+        verdict=model.card.verdict,
+        growth=growth,
+        growth_bound=growth_bound,
+        apart=held.get("resolution", 0.0),
     )
 
 

@@ -98,7 +98,9 @@ class TPWL:
             input_names=names,
             notes={"method": repr(self), "input_share_explained": explained},
         )
-        return PiecewiseModel(frozen, z[taken], np.array(A), np.array(b) + b_u, data.dt)
+        return PiecewiseModel(
+            frozen=frozen, points=z[taken], A=np.array(A), offset=np.array(b) + b_u, step=data.dt
+        )
 
 
 def farthest_points(z: np.ndarray, count: int) -> list[int]:
@@ -111,7 +113,7 @@ def farthest_points(z: np.ndarray, count: int) -> list[int]:
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PiecewiseModel(Drawable):
     """z' = sum_i w_i(z) (A_i z + b_i) + B c, with the coordinates of a `LatentModel`.
 

@@ -116,7 +116,7 @@ def reduce_orders(
                 model = certain(model, data, method, truncated(basis, order))
             if encoded is None:
                 large = LatentModel(
-                    np.zeros((basis.V.shape[1],) * 2),
+                    A=np.zeros((basis.V.shape[1],) * 2),
                     V=basis.V,
                     mean=basis.mean,
                     scale=basis.scale,

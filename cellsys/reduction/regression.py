@@ -31,7 +31,7 @@ def learned_model(
     A (m, m) in 1/s with `dt` (s), or continuous without; see `LatentModel`.
     """
     return LatentModel(
-        A,
+        A=A,
         B=B,
         offset=offset,
         V=basis.V,

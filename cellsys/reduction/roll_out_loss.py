@@ -12,7 +12,7 @@ from cellsys.reduction.regression import StepSamples, samples_per_step
 from cellsys.samples.snapshots import Snapshots
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class RollOuts:
     """Training runs on the grid of a model's step, in coordinates w = T z (row vectors: z T^T).
 
@@ -70,12 +70,12 @@ class RollOuts:
         moved = (true - start) * weight[..., None]
         scale = float(np.sum((moved @ metric) * moved)) or 1.0
         return cls(
-            true @ T.T,
-            weight,
-            start @ T.T,
-            inputs,
-            None if known is None else known @ T.T,
-            Ti.T @ metric @ Ti / scale,
+            true=true @ T.T,
+            weight=weight,
+            start=start @ T.T,
+            inputs=inputs,
+            known=None if known is None else known @ T.T,
+            metric=Ti.T @ metric @ Ti / scale,
         )
 
     def states(self, K: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -50,7 +50,7 @@ def candidates(method: Reductor, settings: Mapping[str, Sequence[Any]]) -> list[
     ]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Candidate:
     """Mean validation error of a method at an order, and its spread (sd) over folds."""
 
@@ -61,7 +61,7 @@ class Candidate:
     spread: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class OuterFold:
     """One held-out group: its runs, what the inner folds chose, and its error there."""
 
@@ -73,7 +73,7 @@ class OuterFold:
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Selection(Drawable):
     """What `select_model` chose, and what the choice is worth.
 
@@ -188,32 +188,38 @@ def select_model(
         error = _errors(kept, tested, [method], [order])[0]
         labels = tuple(data.runs[i].label for i in held)
         reported.append(
-            OuterFold(labels, described(method), order, error, float(table[:, best].mean()))
+            OuterFold(
+                runs=labels,
+                settings=described(method),
+                order=order,
+                error=error,
+                validation_error=float(table[:, best].mean()),
+            )
         )
     table = _validation(data, dealt, methods, orders, inner, told)
     pairs = _pairs(methods, orders)
     ranked = sorted(range(len(pairs)), key=lambda k: _mean(table[:, k]))
     rows = [
         Candidate(
-            pairs[k][0].name,
-            pairs[k][1],
-            described(pairs[k][0]),
-            _mean(table[:, k]),
-            float(np.std(table[:, k])) if np.all(np.isfinite(table[:, k])) else float("inf"),
+            method=pairs[k][0].name,
+            order=pairs[k][1],
+            settings=described(pairs[k][0]),
+            error=_mean(table[:, k]),
+            spread=float(np.std(table[:, k])) if np.all(np.isfinite(table[:, k])) else float("inf"),
         )
         for k in ranked
     ]
     method, order = pairs[ranked[0]]
     nested = float(np.sqrt(np.mean(np.square([f.error for f in reported]))))
     return Selection(
-        reduce(data, order=order, method=method),
-        method,
-        described(method),
-        order,
-        nested,
-        rows[0].error,
-        tuple(rows),
-        tuple(reported),
+        model=reduce(data, order=order, method=method),
+        method=method,
+        settings=described(method),
+        order=order,
+        error=nested,
+        validation_error=rows[0].error,
+        rows=tuple(rows),
+        folds=tuple(reported),
     )
 
 
@@ -271,7 +277,7 @@ def _best(table: np.ndarray) -> int:
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LearningCurve(Drawable):
     """Errors against the number of training runs, mean and sd over the draws of runs."""
 
@@ -345,11 +351,11 @@ def learning_curve(
     with np.errstate(invalid="ignore"):
         mean, spread = np.nanmean(errors, axis=2), np.nanstd(errors, axis=2)
     return LearningCurve(
-        tuple(int(c) for c in counts),
-        mean[0],
-        spread[0],
-        mean[1],
-        spread[1],
-        described(method),
-        order,
+        counts=tuple(int(c) for c in counts),
+        held_out=mean[0],
+        held_out_spread=spread[0],
+        training=mean[1],
+        training_spread=spread[1],
+        settings=described(method),
+        order=order,
     )

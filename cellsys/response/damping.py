@@ -16,7 +16,7 @@ from cellsys.response.roots import RootSet
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class DampingTable(Drawable):
     """One row per pole; arrays (n,), ordered like `poles` (falling real part).
 
@@ -100,5 +100,11 @@ def damping(sys: LinearSystem, *, certainty: PoleCertainty | None = None) -> Dam
     tau = np.where(on_axis, np.inf, np.where(np.isinf(size), 0.0, tau))
     ratio = np.where(size == 0, np.nan, ratio)
     return DampingTable(
-        found, size, ratio, tau, found.condition, found.error_bound, found.cluster_size
+        poles=found,
+        frequency=size,
+        damping=ratio,
+        time_constant=tau,
+        condition=found.condition,
+        error_bound=found.error_bound,
+        cluster_size=found.cluster_size,
     )

@@ -63,7 +63,7 @@ def _closed(L: Realization) -> Realization | None:
     K = np.linalg.solve(F, np.hstack([L.C, I]))
     C, E = K[:, : L.n_states], K[:, L.n_states :]
     try:
-        return Realization(L.A - L.B @ C, L.B @ E, -2 * C, 2 * E - I, L.dt)
+        return Realization(L.A - L.B @ C, L.B @ E, -2 * C, 2 * E - I, dt=L.dt)
     except DataError:  # rates beyond what a Realization holds: L itself was at the edge
         return None
 

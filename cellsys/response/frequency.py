@@ -20,7 +20,7 @@ from cellsys.units import real_array
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class FrequencyResponse(Drawable):
     """G(j omega), or G(exp(j omega dt)), on a grid.
 
@@ -181,7 +181,15 @@ def frequency_response(
     if bound is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
             bound = np.where(bound == 0, 0.0, bound / np.abs(G))
-    return FrequencyResponse(array, G, bound, system.dt, system.inputs, system.outputs, system)
+    return FrequencyResponse(
+        omega=array,
+        response=G,
+        accuracy=bound,
+        dt=system.dt,
+        inputs=system.inputs,
+        outputs=system.outputs,
+        system=system,
+    )
 
 
 def _flat(G: np.ndarray) -> np.ndarray:

@@ -124,13 +124,13 @@ def unscaled(b: Balanced) -> Balanced:
     """Undo the scaling of inputs and outputs, which Gramians depend on."""
     ones = np.ones
     return Balanced(
-        b.A,
-        b.B / b.right[None, :],
-        b.C / b.left[:, None],
-        b.D / b.left[:, None] / b.right[None, :],
-        b.states,
-        ones(len(b.left)),
-        ones(len(b.right)),
+        A=b.A,
+        B=b.B / b.right[None, :],
+        C=b.C / b.left[:, None],
+        D=b.D / b.left[:, None] / b.right[None, :],
+        states=b.states,
+        left=ones(len(b.left)),
+        right=ones(len(b.right)),
     )
 
 

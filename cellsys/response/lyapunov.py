@@ -65,7 +65,7 @@ def _stein(A: np.ndarray, Q: np.ndarray) -> np.ndarray:
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LyapunovCertificate(Shown):
     """P with A^T P + P A = -I (A^T P A - P = -I in discrete time), or why there is none.
 
@@ -108,16 +108,28 @@ def certificate(A: np.ndarray, excess: float, *, discrete: bool) -> LyapunovCert
     """
     n = len(A)
     if n == 0:
-        return LyapunovCertificate(True, np.zeros((0, 0)), 0.0, 1.0, "no states: nothing to show")
+        return LyapunovCertificate(
+            valid=True,
+            P=np.zeros((0, 0)),
+            residual=0.0,
+            condition=1.0,
+            reason="no states: nothing to show",
+        )
     if not excess < 0:
         return LyapunovCertificate(
-            False, None, np.nan, np.inf, "none: a pole lies on or beyond the stability boundary"
+            valid=False,
+            P=None,
+            residual=np.nan,
+            condition=np.inf,
+            reason="none: a pole lies on or beyond the stability boundary",
         )
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore", sla.LinAlgWarning)
         P, residual = lyapunov(A.T, np.eye(n), discrete=discrete)
         if not np.all(np.isfinite(P)):
-            return LyapunovCertificate(False, None, np.nan, np.inf, "none: P overflows")
+            return LyapunovCertificate(
+                valid=False, P=None, residual=np.nan, condition=np.inf, reason="none: P overflows"
+            )
         S = A.T @ P @ A - P if discrete else A.T @ P + P @ A
     S = 0.5 * (S + S.T)
     p, a = sla.eigvalsh(P), float(sla.norm(A))
@@ -126,16 +138,20 @@ def certificate(A: np.ndarray, excess: float, *, discrete: bool) -> LyapunovCert
     top = float(sla.eigvalsh(S)[-1])
     if p[0] <= rounding:
         reason = f"none: P is not positive definite beyond rounding ({p[0]:.1e} of {p[-1]:.1e})"
-        return LyapunovCertificate(False, P, residual, np.inf, reason)
+        return LyapunovCertificate(
+            valid=False, P=P, residual=residual, condition=np.inf, reason=reason
+        )
     if top + error >= 0:
         reason = f"none: rounding {error:.1e} swallows the decrease (largest {top:.1e})"
-        return LyapunovCertificate(False, P, residual, np.inf, reason)
+        return LyapunovCertificate(
+            valid=False, P=P, residual=residual, condition=np.inf, reason=reason
+        )
     condition = float(p[-1] / p[0])
     return LyapunovCertificate(
-        True,
-        P,
-        residual,
-        condition,
-        f"P > 0, A^T P {'A - P' if discrete else '+ P A'} <= {top + error:.2g} I, "
+        valid=True,
+        P=P,
+        residual=residual,
+        condition=condition,
+        reason=f"P > 0, A^T P {'A - P' if discrete else '+ P A'} <= {top + error:.2g} I, "
         f"residual {residual:.1e}, cond(P) = {condition:.2g}",
     )

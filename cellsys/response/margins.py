@@ -21,7 +21,7 @@ from cellsys.response.realization import EPS, Realization, balance, balancing, r
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Margins(Drawable):
     """Margins of det(I + L) = 0; inf where there is none, frequencies then nan.
 
@@ -251,17 +251,26 @@ def margins(sys: LinearSystem, omega: np.ndarray | None = None) -> Margins:
         disk = disk_margin(loci)
     picked = _pick(phase, gain, loci)
     fixed = _fixed_integrators(system)
+    gm, gm_w, pm, pm_w, delay, delay_w, up, down = picked
     return Margins(
-        *picked,
-        phase,
-        gain,
-        *disk,
-        P,
-        Z,
-        Z - P,
-        fixed,
-        solvable and Z == 0 and edge <= fixed,
-        loci,
+        gain_margin=gm,
+        gain_margin_frequency=gm_w,
+        phase_margin=pm,
+        phase_margin_frequency=pm_w,
+        delay_margin=delay,
+        delay_margin_frequency=delay_w,
+        gain_margin_up=up,
+        gain_margin_down=down,
+        phase_crossings=phase,
+        gain_crossings=gain,
+        disk_margin=disk[0],
+        disk_margin_frequency=disk[1],
+        open_loop_unstable=P,
+        closed_loop_unstable=Z,
+        encirclements=Z - P,
+        integrators=fixed,
+        closed_loop_stable=solvable and Z == 0 and edge <= fixed,
+        loci=loci,
     )
 
 

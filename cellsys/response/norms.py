@@ -20,7 +20,7 @@ from cellsys.response.realization import Realization, balance, realization
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SystemNorm(Drawable):
     """A norm; ``float()`` gives the value, ``plot()`` the singular values with the peak marked.
 
@@ -105,11 +105,11 @@ def _h2(system: Realization) -> SystemNorm:
     if not note and d > 0 and not system.is_discrete:
         note = "D is not zero"
     if note:
-        return SystemNorm(np.inf, np.nan, np.inf, "H2", note)
+        return SystemNorm(value=np.inf, frequency=np.nan, upper=np.inf, kind="H2", note=note)
     b = unscaled(balance(system))
     F = factor(b.A, b.B, discrete=system.is_discrete)
     value = float(np.hypot(np.linalg.norm(b.C @ F), d))
-    return SystemNorm(value, np.nan, value, "H2")
+    return SystemNorm(value=value, frequency=np.nan, upper=value, kind="H2")
 
 
 @checked
@@ -146,9 +146,17 @@ def hinf_norm(sys: LinearSystem, *, rtol: float = 1e-8) -> SystemNorm:
 def _hinf(system: Realization, rtol: float) -> SystemNorm:
     note = _unstable(system)
     if note:
-        return SystemNorm(np.inf, np.nan, np.inf, "H-infinity", note)
+        return SystemNorm(
+            value=np.inf, frequency=np.nan, upper=np.inf, kind="H-infinity", note=note
+        )
     if min(system.n_inputs, system.n_outputs) == 0:
-        return SystemNorm(0.0, np.nan, 0.0, "H-infinity", "no inputs or no outputs")
+        return SystemNorm(
+            value=0.0,
+            frequency=np.nan,
+            upper=0.0,
+            kind="H-infinity",
+            note="no inputs or no outputs",
+        )
     b = unscaled(balance(system))
     plain = Realization(b.A, b.B, b.C, b.D)
     if system.is_discrete:
@@ -156,7 +164,7 @@ def _hinf(system: Realization, rtol: float) -> SystemNorm:
     value, omega, upper = _level_sets(plain, rtol)
     if system.is_discrete:
         omega = 2 * np.arctan(omega) / system.dt
-    return SystemNorm(value, omega, upper, "H-infinity")
+    return SystemNorm(value=value, frequency=omega, upper=upper, kind="H-infinity")
 
 
 @checked

@@ -16,7 +16,7 @@ from cellsys.response.roots import order
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Participation(Drawable):
     """Modes in columns or rows, ordered by falling real part.
 
@@ -85,15 +85,15 @@ def participation(sys: LinearSystem) -> Participation:
     if n == 0:
         none = np.zeros
         return Participation(
-            none(0, complex),
-            none((0, 0)),
-            none((p, 0)),
-            none((0, m)),
-            none((p, m, 0)),
-            none(0),
-            (),
-            system.inputs,
-            system.outputs,
+            poles=none(0, complex),
+            states=none((0, 0)),
+            outputs=none((p, 0)),
+            inputs=none((0, m)),
+            residue=none((p, m, 0)),
+            condition=none(0),
+            state_names=(),
+            input_names=system.inputs,
+            output_names=system.outputs,
         )
     b = balance(system)
     values, left, right = sla.eig(b.A, left=True, right=True)
@@ -107,13 +107,13 @@ def participation(sys: LinearSystem) -> Participation:
     columns = np.abs(b.C @ right) / b.left[:, None]
     residue = columns[:, None, :] * rows.T[None, :, :]
     return Participation(
-        values,
-        states,
-        columns,
-        rows,
-        residue,
-        condition,
-        system.states,
-        system.inputs,
-        system.outputs,
+        poles=values,
+        states=states,
+        outputs=columns,
+        inputs=rows,
+        residue=residue,
+        condition=condition,
+        state_names=system.states,
+        input_names=system.inputs,
+        output_names=system.outputs,
     )

@@ -14,7 +14,7 @@ and their signs decide.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 import scipy.linalg as sla
@@ -34,6 +34,7 @@ class PencilBlock:
     B: np.ndarray
     C: np.ndarray
     D: np.ndarray
+    _: KW_ONLY
     mirrored: bool = False
 
 
@@ -64,10 +65,10 @@ def _copies(L: PencilBlock, left: bool, mirrored: bool) -> PencilBlock:
     """L (x) I, or I (x) L."""
     parts = (L.A, L.B, L.C, L.D)
     if len(L.D) == 1:
-        return PencilBlock(*parts, mirrored)
+        return PencilBlock(*parts, mirrored=mirrored)
     I = np.eye(len(L.D))  # noqa: E741
     A, B, C, D = (np.kron(M, I) if left else np.kron(I, M) for M in parts)
-    return PencilBlock(A, B, C, D, mirrored)
+    return PencilBlock(A, B, C, D, mirrored=mirrored)
 
 
 def _rows(block: PencilBlock, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from cellsys.response.roots import RootSet
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Pseudospectra(Drawable):
     """sigma_min(z I - A) on a rectangle of the complex plane.
 
@@ -95,7 +95,7 @@ def pseudospectra(
         sigma[: len(y) - upper] = sigma[upper:][::-1]
     else:
         sigma[:] = _sigma(T, x, y)
-    return Pseudospectra(x, y, sigma, found, system.dt)
+    return Pseudospectra(x=x, y=y, sigma=sigma, poles=found, dt=system.dt)
 
 
 def _window(A: np.ndarray) -> tuple[float, float, float]:

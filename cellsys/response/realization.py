@@ -10,7 +10,7 @@ square matrix A alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -90,6 +90,7 @@ class Realization:
     B: Filled[np.ndarray] = FILLED
     C: Filled[np.ndarray] = FILLED
     D: Filled[np.ndarray] = FILLED
+    _: KW_ONLY
     dt: float = 0.0
     states: Filled[tuple[str, ...]] = FILLED
     inputs: Filled[tuple[str, ...]] = FILLED
@@ -258,12 +259,15 @@ def realization(sys: LinearSystem) -> Realization:
         if len(sys) not in (4, 5):
             raise ParameterError(f"a tuple must be (A, B, C, D[, dt]), got {len(sys)} entries")
         A, B, C, D = sys[:4]
-        return Realization(A, B, C, D, _sampling(sys[4]) if len(sys) == 5 else 0.0)
+        return Realization(A, B, C, D, dt=_sampling(sys[4]) if len(sys) == 5 else 0.0)
     if isinstance(sys, (np.ndarray, list, sp.sparray, sp.spmatrix)):
         return Realization(sys)
     if isinstance(sys, StateSpaceLike):
-        labels = [getattr(sys, f"{kind}_labels", FILLED) for kind in ("state", "input", "output")]
-        return Realization(sys.A, sys.B, sys.C, sys.D, _sampling(sys.dt), *labels)
+        labels = {
+            f"{kind}s": getattr(sys, f"{kind}_labels", FILLED)
+            for kind in ("state", "input", "output")
+        }
+        return Realization(sys.A, sys.B, sys.C, sys.D, dt=_sampling(sys.dt), **labels)
     return _from_transfer_function(sys)
 
 
@@ -298,7 +302,9 @@ def _from_transfer_function(sys: TransferFunctionLike) -> Realization:
     A[:1] = -den[1:]
     B = np.eye(n, 1)
     C = (num[1:] - num[0] * den[1:])[None, :]
-    return Realization(A, B, C, num[:1, None], _sampling(sys.dt), FILLED, *names)
+    return Realization(
+        A, B, C, num[:1, None], dt=_sampling(sys.dt), inputs=names[0], outputs=names[1]
+    )
 
 
 def same_time(first: Realization, second: Realization) -> float:
@@ -321,7 +327,7 @@ def balancing(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return balanced, scale
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Balanced:
     """A realization scaled by powers of two, exact: T^-1 A T, T^-1 B R, L C T, L D R.
 
@@ -349,7 +355,15 @@ def balance(system: Realization) -> Balanced:
     M[:n, :n], M[:n, n : n + m], M[n : n + p, :n] = system.A, system.B, system.C
     if n == 0 or not np.any(M):
         ones = np.ones
-        return Balanced(system.A, system.B, system.C, system.D, ones(n), ones(p), ones(m))
+        return Balanced(
+            A=system.A,
+            B=system.B,
+            C=system.C,
+            D=system.D,
+            states=ones(n),
+            left=ones(p),
+            right=ones(m),
+        )
     scale = balancing(M)[1]
     # ldexp arithmetic: exact, and the product of two scales may leave the range of a float.
     power = np.rint(np.log2(scale)).astype(int)
@@ -358,4 +372,6 @@ def balance(system: Realization) -> Balanced:
     B = np.ldexp(system.B, io[None, :m] - t[:, None])
     C = np.ldexp(system.C, t[None, :] - io[:p, None])
     D = np.ldexp(system.D, io[None, :m] - io[:p, None])
-    return Balanced(A, B, C, D, scale[:n], np.exp2(-io[:p]), np.exp2(io[:m]))
+    return Balanced(
+        A=A, B=B, C=C, D=D, states=scale[:n], left=np.exp2(-io[:p]), right=np.exp2(io[:m])
+    )

@@ -20,7 +20,7 @@ from cellsys.response.zeros import zeros
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class RootLocus(Drawable):
     """Poles over a parameter.
 
@@ -142,7 +142,9 @@ def root_locus(
         for i in range(1, len(values) - 1)
         if margin[i] == 0 and margin[i - 1] * margin[i + 1] < 0
     ]
-    return RootLocus(values, branches, ends, np.sort(crossings), dt)
+    return RootLocus(
+        parameter=values, poles=branches, zeros=ends, crossings=np.sort(crossings), dt=dt
+    )
 
 
 def _eigenvalues(A: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from cellsys.response.realization import Realization, realization, same_time
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Sensitivity(Drawable):
     """S = (I + L)^-1 and T = I - S with their peaks.
 
@@ -87,12 +87,17 @@ def sensitivity(sys: LinearSystem, omega: np.ndarray | None = None) -> Sensitivi
     T = replace(S, C=C, D=np.eye(m) - E)
     response = frequency_response(S, omega)
     return Sensitivity(
-        S, T, hinf_norm(S), hinf_norm(T), response, frequency_response(T, response.omega)
+        S=S,
+        T=T,
+        peak_S=hinf_norm(S),
+        peak_T=hinf_norm(T),
+        response_S=response,
+        response_T=frequency_response(T, response.omega),
     )
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ErrorSystem(Drawable):
     """Full minus reduced model.
 
@@ -167,19 +172,19 @@ def error_system(
         np.vstack([one.B, two.B]),
         np.hstack([one.C, -two.C]),
         one.D - two.D,
-        dt,
-        names,
-        one.inputs,
-        one.outputs,
+        dt=dt,
+        states=names,
+        inputs=one.inputs,
+        outputs=one.outputs,
     )
     h2, hinf = h2_norm(system), hinf_norm(system)
     return ErrorSystem(
-        system,
-        h2,
-        hinf,
-        _ratio(h2, h2_norm(one)),
-        _ratio(hinf, hinf_norm(one)),
-        frequency_response(system, omega),
+        system=system,
+        h2=h2,
+        hinf=hinf,
+        relative_h2=_ratio(h2, h2_norm(one)),
+        relative_hinf=_ratio(hinf, hinf_norm(one)),
+        response=frequency_response(system, omega),
     )
 
 

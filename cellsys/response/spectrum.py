@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import connected_components
 from cellsys.response.realization import EPS
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Spectrum:
     """Eigenvalues with what is known about their errors; all arrays (n,), same order.
 
@@ -102,7 +102,13 @@ def spectrum(A: np.ndarray, values: np.ndarray | None = None) -> Spectrum:
     n = A.shape[0]
     if n == 0:
         none = np.zeros(0)
-        return Spectrum(none.astype(complex), none, none, none.astype(int), 0.0)
+        return Spectrum(
+            values=none.astype(complex),
+            condition=none,
+            bound=none,
+            cluster=none.astype(int),
+            backward=0.0,
+        )
     norm = float(sla.norm(A))
     delta = backward_error(n, norm)
     found, left, right = sla.eig(A, left=True, right=True)
@@ -122,7 +128,13 @@ def spectrum(A: np.ndarray, values: np.ndarray | None = None) -> Spectrum:
             bound, cluster = second, other
         elsner = (2 * norm + delta) ** (1 - 1 / n) * (3 * delta) ** (1 / n)
         bound = np.minimum(bound, elsner)
-    return Spectrum(values, condition, bound, np.unique(cluster, return_inverse=True)[1], delta)
+    return Spectrum(
+        values=values,
+        condition=condition,
+        bound=bound,
+        cluster=np.unique(cluster, return_inverse=True)[1],
+        backward=delta,
+    )
 
 
 def pencil_spectrum(A: np.ndarray, E: np.ndarray, delta_a: float, delta_e: float) -> Spectrum:
@@ -163,4 +175,10 @@ def pencil_spectrum(A: np.ndarray, E: np.ndarray, delta_a: float, delta_e: float
             second, other = _within(values, near, radii, _groups(near, radii))
             if second.max() < bound.max() or not np.isfinite(bound.max()):
                 bound, cluster = second, other
-    return Spectrum(values, condition, bound, np.unique(cluster, return_inverse=True)[1], delta_a)
+    return Spectrum(
+        values=values,
+        condition=condition,
+        bound=bound,
+        cluster=np.unique(cluster, return_inverse=True)[1],
+        backward=delta_a,
+    )

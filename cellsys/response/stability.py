@@ -32,7 +32,7 @@ from cellsys.response.spectrum import Spectrum, backward_error, spectrum
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class StabilityReport(Drawable):
     """What can be said about the stability of x' = A x (x+ = A x) at working precision.
 

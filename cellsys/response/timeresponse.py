@@ -19,7 +19,7 @@ from cellsys.units import real_array
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TimeResponse(Drawable):
     """Outputs over time.
 
@@ -205,7 +205,9 @@ def step_response(sys: LinearSystem, t: np.ndarray | None = None) -> TimeRespons
         x = _free(transition, np.diff(grid), start)[lead:, :n]
         y = system.C @ x + system.D
     _checked(t, x, y)
-    return TimeResponse(t, y, x, "step", system.inputs, system.outputs, system.dt)
+    return TimeResponse(
+        t=t, y=y, x=x, kind="step", inputs=system.inputs, outputs=system.outputs, dt=system.dt
+    )
 
 
 @checked
@@ -259,7 +261,9 @@ def impulse_response(sys: LinearSystem, t: np.ndarray | None = None) -> TimeResp
             x = _free(transition, np.diff(grid), np.array(system.B))[lead:]
             y = system.C @ x
     _checked(t, x, y)
-    return TimeResponse(t, y, x, "impulse", system.inputs, system.outputs, system.dt)
+    return TimeResponse(
+        t=t, y=y, x=x, kind="impulse", inputs=system.inputs, outputs=system.outputs, dt=system.dt
+    )
 
 
 @checked
@@ -326,7 +330,15 @@ def forced_response(
             states = _march(system, t, x, drive if m else None, linear)
         y = states @ system.C.T + drive @ system.D.T
     _checked(t, states, y)
-    return TimeResponse(t, y, states, "forced", system.inputs, system.outputs, system.dt)
+    return TimeResponse(
+        t=t,
+        y=y,
+        x=states,
+        kind="forced",
+        inputs=system.inputs,
+        outputs=system.outputs,
+        dt=system.dt,
+    )
 
 
 def _from_zero(t: np.ndarray) -> tuple[np.ndarray, int]:

@@ -17,7 +17,7 @@ from cellsys.response.realization import EPS, Realization, balance, realization
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class BalancedTruncation(Drawable):
     """A reduced model with its a priori error bound.
 
@@ -109,9 +109,11 @@ def balanced_truncation(
         W.T @ system.B,
         system.C @ V,
         system.D,
-        system.dt,
-        tuple(f"balanced[{i}]" for i in range(r)),
-        system.inputs,
-        system.outputs,
+        dt=system.dt,
+        states=tuple(f"balanced[{i}]" for i in range(r)),
+        inputs=system.inputs,
+        outputs=system.outputs,
     )
-    return BalancedTruncation(reduced, s, float(tails[r]), W, V)
+    return BalancedTruncation(
+        system=reduced, hankel=s, error_bound=float(tails[r]), left=W, right=V
+    )

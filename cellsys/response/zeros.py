@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.linalg as sla
 
@@ -87,12 +89,12 @@ def zeros(sys: LinearSystem, *, rank_tol: float | None = None, infinite: float =
     found = pencil_spectrum(A_f, E_f, delta * norm, delta)
     keep = np.flatnonzero(np.abs(found.values) <= infinite * norm)
     keep = keep[order(found.values[keep])]
-    detail = type(found)(
-        found.values[keep],
-        found.condition[keep],
-        found.bound[keep],
-        np.unique(found.cluster[keep], return_inverse=True)[1],
-        found.backward,
+    detail = replace(
+        found,
+        values=found.values[keep],
+        condition=found.condition[keep],
+        bound=found.bound[keep],
+        cluster=np.unique(found.cluster[keep], return_inverse=True)[1],
     )
     return RootSet(detail.values, kind="zero", dt=system.dt, detail=detail, note=note)
 

@@ -79,25 +79,25 @@ def _from_trajectories(runs: list[Trajectory], scale: str) -> Snapshots:
         hit = np.searchsorted(run.t, [e.time for e in run.events], side="right") - 1
         data.append(
             RunData(
-                _columns(run.x, keep_x),
-                _columns(run.eta, keep_eta),
-                _columns(run.u, keep_x) if run.u is not None else None,
-                commands[i] if names else None,
-                tuple(sorted({int(k) for k in hit})),
-                None if run.eta_start is None else np.asarray(run.eta_start)[keep_eta],
-                None if run.d is None else np.asarray(run.d),
-                run.nodal(),
-                run.label,
+                x=_columns(run.x, keep_x),
+                eta=_columns(run.eta, keep_eta),
+                u=_columns(run.u, keep_x) if run.u is not None else None,
+                commands=commands[i] if names else None,
+                skip=tuple(sorted({int(k) for k in hit})),
+                eta_start=None if run.eta_start is None else np.asarray(run.eta_start)[keep_eta],
+                d=None if run.d is None else np.asarray(run.d),
+                nodal=run.nodal(),
+                label=run.label,
             )
         )
     return Snapshots(
-        tuple(data), states, auxiliaries, dt,
-        sp.csr_array(first.W_x[keep_x][:, keep_x]),
-        sp.csr_array(first.W_eta[keep_x][:, keep_eta]),
-        names,
-        scale,
-        {"runs": [r.label for r in runs]},
-        dict(first.geometry),
+        runs=tuple(data), states=states, auxiliaries=auxiliaries, dt=dt,
+        W_x=sp.csr_array(first.W_x[keep_x][:, keep_x]),
+        W_eta=sp.csr_array(first.W_eta[keep_x][:, keep_eta]),
+        command_names=names,
+        scale=scale,
+        source={"runs": [r.label for r in runs]},
+        geometry=dict(first.geometry),
     )  # fmt: skip
 
 
@@ -146,7 +146,9 @@ def _learned_blocks(run: Trajectory, learned: list[Block]) -> tuple[Layout, np.n
                 [np.arange(run.states.size)[run.states.slice(b.name)] for b in states]
             )
             kept.append(piece.start + rows)
-            blocks.append(Block(block.name, (states.size,), block.unit, block.role, block.kind))
+            blocks.append(
+                Block(block.name, (states.size,), block.unit, role=block.role, kind=block.kind)
+            )
         elif block.role != "controller" and block.name not in left_out:
             kept.append(np.arange(piece.start, piece.stop))
             blocks.append(block)

@@ -6,7 +6,7 @@ Arrays may be memory-mapped: all works on blocks of rows, so that a set may be l
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -33,6 +33,7 @@ class RunData:
     """
 
     x: np.ndarray
+    _: KW_ONLY
     eta: np.ndarray | None = None
     u: np.ndarray | None = None
     commands: np.ndarray | None = None
@@ -61,7 +62,7 @@ class RunData:
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Snapshots:
     """Samples of [x; eta] with what is needed to learn a model from them.
 

@@ -38,18 +38,26 @@ def from_user(
                 array = real_array(run, f"run {i}")
             except DataError as error:
                 raise ParameterError(f"run {i} is not an array of numbers: {error}") from error
-            data.append(RunData(array, label=f"run {i}"))
+            data.append(RunData(x=array, label=f"run {i}"))
             continue
         path = Path(run)
         kind = path.suffix.lower()
         if kind == ".csv":
             table = read_csv(path)
-            data.append(RunData(table.x, label=path.name))
+            data.append(RunData(x=table.x, label=path.name))
             found: dict[str, Any] = {"dt": table.step, "names of columns": table.names}
             names = table.names or names
         elif kind == ".npz":
             arrays = _read_npz(path)
-            data.append(RunData(*map(arrays.get, _OF_RUNS), label=path.name))  # type: ignore[arg-type]
+            data.append(
+                RunData(
+                    x=arrays["x"],
+                    eta=arrays.get("eta"),
+                    u=arrays.get("u"),
+                    commands=arrays.get("commands"),
+                    label=path.name,
+                )
+            )
             found = {"dt": _step(arrays, path)} | {k: arrays.get(k) for k in ("W_x", "W_eta")}
         else:
             raise ParameterError(f"run {i}: {path.name!r} is neither .npz nor .csv")
@@ -76,15 +84,17 @@ def from_user(
         W_eta = None if W_eta is None else W_eta[order]
     n_commands = 0 if data[0].commands is None else data[0].commands.shape[1]
     return Snapshots(
-        tuple(data),
-        states,
-        Layout([Block("eta", (n_eta,), "1", "component", "rate")] if n_eta else []),
-        said["dt"][0],
-        sp.csr_array((n, n)) if W_x is None else sp.csr_array(np.asarray(W_x, float)),
-        sp.csr_array((n, n_eta)) if W_eta is None else sp.csr_array(np.asarray(W_eta, float)),
-        tuple(f"command[{k}]" for k in range(n_commands)),
-        scale,
-        {"runs": [r.label for r in data]},
+        runs=tuple(data),
+        states=states,
+        auxiliaries=Layout(
+            [Block("eta", (n_eta,), "1", role="component", kind="rate")] if n_eta else []
+        ),
+        dt=said["dt"][0],
+        W_x=sp.csr_array((n, n)) if W_x is None else sp.csr_array(np.asarray(W_x, float)),
+        W_eta=sp.csr_array((n, n_eta)) if W_eta is None else sp.csr_array(np.asarray(W_eta, float)),
+        command_names=tuple(f"command[{k}]" for k in range(n_commands)),
+        scale=scale,
+        source={"runs": [r.label for r in data]},
     )
 
 
@@ -102,7 +112,7 @@ def _blocks(
         )
     layout = Layout(
         [
-            Block(name, (len(list(rows)),), "1", "field" if name == "field" else "component")
+            Block(name, (len(list(rows)),), "1", role="field" if name == "field" else "component")
             for name, rows in blocks.items()
         ]
     )

@@ -26,7 +26,7 @@ _SPARSEST = 100.0  # um between neighbouring nodes: far apart, no cell touches a
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MatrixScene(Plane):
     """The matrix: a disc of fibres; lengths um, modulus pN/um^2 (Pa)."""
 

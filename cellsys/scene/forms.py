@@ -183,14 +183,14 @@ def _disc(table: DiscTable | None) -> MatrixScene | None:
                 f"disc; keep it below {2.0 / table.diameter:.3g}"
             )
     return MatrixScene(
-        table.kind,
-        table.diameter,
-        table.thickness,
-        table.modulus,
-        table.nodes,
-        table.seed,
-        inclusion,
-        gradient,
+        kind=table.kind,
+        diameter=table.diameter,
+        thickness=table.thickness,
+        modulus=table.modulus,
+        nodes=table.nodes,
+        seed=table.seed,
+        inclusion=inclusion,
+        gradient=gradient,
     )
 
 

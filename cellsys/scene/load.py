@@ -95,11 +95,11 @@ def scene_from_plain(
         Crawler(**c)
         if "lead_node" in c
         else CellScene(
-            tuple(c["position"]),
-            c["polarity"],
-            c["radius"],
-            made(c["effects"]),
-            commands(c["commands"]),
+            position=tuple(c["position"]),
+            polarity=c["polarity"],
+            radius=c["radius"],
+            effects=made(c["effects"]),
+            commands=commands(c["commands"]),
         )
         for c in table["cells"]
     )

@@ -32,7 +32,7 @@ class Gradient:
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CellScene:
     """One cell: position of its centre in the plane (um), polarity angle (rad), radius (um)."""
 
@@ -44,7 +44,7 @@ class CellScene:
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Training:
     """The ensemble a reduced model is learned from.
 

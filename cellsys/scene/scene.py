@@ -31,7 +31,7 @@ _MOST_SAMPLES = 1e7  # their times alone are 80 MB, their states of any scene be
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scene:
     """A scene: matrix, cells, the effects that act, commands, and how long.
 

@@ -37,7 +37,7 @@ Progress = Callable[[str, float], None]
 MOST_PATHS = 4  # three lines each
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CellsStudy(Shown):
     """What `study` computed of a scene without a model of its own.
 
@@ -126,7 +126,9 @@ def study_cells(
     }
     save_run(run, folder / "run.npz")
     say("report", 0.2)
-    result = CellsStudy(scene, run, pairs, reduced, summary, folder)
+    result = CellsStudy(
+        scene=scene, run=run, pairs=pairs, reduced=reduced, summary=summary, out=folder
+    )
     _write_report(result, _figures(result, system, folder / "figures"))
     say("report", 1.0)
     summary["wall_time_s"] = time.perf_counter() - began

@@ -49,7 +49,7 @@ def learn_coordinates(data: Snapshots, test: Snapshots, order: int, path: Path) 
     basis = fit_basis(data, order).with_parts(data)
     parts = basis.parts_of(data)
     large = LatentModel(
-        np.zeros((order, order)),
+        A=np.zeros((order, order)),
         V=basis.V,
         mean=basis.mean,
         scale=basis.scale,
@@ -76,22 +76,25 @@ def learn_coordinates(data: Snapshots, test: Snapshots, order: int, path: Path) 
 
 def _unpack(arrays: dict, meta: dict, data: Snapshots) -> Coordinates:
     basis = Basis(
-        arrays["V"],
-        arrays["singular_values"],
-        arrays["mean"],
-        arrays["scale"],
-        meta["total"],
-        meta["dropped"],
+        V=arrays["V"],
+        singular_values=arrays["singular_values"],
+        mean=arrays["mean"],
+        scale=arrays["scale"],
+        total=meta["total"],
+        dropped=meta["dropped"],
     )
     parts = LatentParts(
-        arrays["x_now"],
-        arrays["x_next"],
-        arrays["eta_now"],
-        arrays["eta_next"],
-        data.run_ids,
-        np.concatenate([r.usable() for r in data.runs]),
-        data,
+        x_now=arrays["x_now"],
+        x_next=arrays["x_next"],
+        eta_now=arrays["eta_now"],
+        eta_next=arrays["eta_next"],
+        runs=data.run_ids,
+        samples=np.concatenate([r.usable() for r in data.runs]),
+        data=data,
     )
     training = [arrays[f"training {i}"] for i in range(len(data.runs))]
     test = [v for k, v in arrays.items() if k.startswith("test ")]
-    return Coordinates(replace(basis, parts=parts), (Encoded(training, data), Encoded(test, data)))
+    return Coordinates(
+        replace(basis, parts=parts),
+        (Encoded(runs=training, training=data), Encoded(runs=test, training=data)),
+    )

@@ -30,7 +30,7 @@ from cellsys.version import __version__
 ORDER = 50
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class EquivariantStudy:
     """What a study says of its equivariant model.
 
@@ -85,7 +85,13 @@ def study_equivariant(
     except LostRunError:
         raise  # no property of the data: the runs were removed meanwhile
     except CellsysError as error:
-        return EquivariantStudy(None, None, {}, {"why_not": str(error)}, str(error))
+        return EquivariantStudy(
+            model=None,
+            run=None,
+            heading_error={},
+            table={"why_not": str(error)},
+            why_not=str(error),
+        )
     run, gap, loop_table = _loop(scene, model, main)
     table = {
         "why_not": None,
@@ -97,7 +103,7 @@ def study_equivariant(
         "fit_seconds": model.notes["fit_seconds"],
         "loop": loop_table,
     }
-    return EquivariantStudy(model, run, gap, table)
+    return EquivariantStudy(model=model, run=run, heading_error=gap, table=table)
 
 
 def _learned(scene: Scene, data: Snapshots, test: Snapshots, kept: Path) -> EquivariantModel:
@@ -113,7 +119,7 @@ def _learned(scene: Scene, data: Snapshots, test: Snapshots, kept: Path) -> Equi
             return known
     model = method.fit(data, order, test=test)
     try:
-        model = with_matrix(model, GalerkinField(build(scene)), test, data)
+        model = with_matrix(model, GalerkinField(system=build(scene)), test, data)
     except (SceneError, RankError) as error:
         card = card_of(model)
         warned = (*card.warnings, f"matrix not measured: {error}")
@@ -133,14 +139,14 @@ def sweep_row(model: EquivariantModel, steps: int) -> OrderRow:
     card = card_of(model)
     row = card.held_out["cells"]
     return OrderRow(
-        "Equivariant",
-        model.order,
-        {"cells": row["model"]},
-        {"cells": row["floor"]},
-        {"cells": {k: row[k] for k in ("nothing moves", "mean velocity", "mean motion")}},
-        card.spectral_abscissa,
-        1e3 * min(times[1:]),
-        card.verdict,
+        method="Equivariant",
+        order=model.order,
+        error={"cells": row["model"]},
+        floor={"cells": row["floor"]},
+        baselines={"cells": {k: row[k] for k in ("nothing moves", "mean velocity", "mean motion")}},
+        abscissa=card.spectral_abscissa,
+        roll_out_ms=1e3 * min(times[1:]),
+        verdict=card.verdict,
     )
 
 

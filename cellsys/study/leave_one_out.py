@@ -21,7 +21,7 @@ from cellsys.shown import Shown
 from cellsys.trajectory import Trajectory
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Worth(Shown):
     """One effect of a scene.
 
@@ -117,11 +117,27 @@ def _worth(scene: Scene, name: str, whole: Trajectory, took: float, share: float
     try:
         rest, also = without(scene, name)
     except SceneError as error:
-        return Worth(name, (), share, nan, nan, {}, f"cannot be left out: {error}")
+        return Worth(
+            effect=name,
+            with_it=(),
+            share=share,
+            saved=nan,
+            motion=nan,
+            changes={},
+            note=f"cannot be left out: {error}",
+        )
     try:
         run, time_without = _timed(rest)
     except IntegrationError as error:
-        return Worth(name, also, share, nan, nan, {}, f"without it the run fails: {error}")
+        return Worth(
+            effect=name,
+            with_it=also,
+            share=share,
+            saved=nan,
+            motion=nan,
+            changes={},
+            note=f"without it the run fails: {error}",
+        )
     before, after, errors = read_outs(whole), read_outs(run), read_out_errors(whole)
     changes = {
         key: (after[key] - value) / value if value > errors.get(key, 0.0) else nan
@@ -129,7 +145,14 @@ def _worth(scene: Scene, name: str, whole: Trajectory, took: float, share: float
         if key in after
     }
     saved = 1.0 - time_without / took
-    return Worth(name, also, share, saved, _motion(whole, run), changes)
+    return Worth(
+        effect=name,
+        with_it=also,
+        share=share,
+        saved=saved,
+        motion=_motion(whole, run),
+        changes=changes,
+    )
 
 
 def _motion(whole: Trajectory, run: Trajectory) -> float:

@@ -27,7 +27,7 @@ ERRORS = {  # read-outs that are 0 where nothing moves, and the entry that holds
 }
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class OrderRow:
     """One model of the sweep: held-out relative errors, floor, baselines, price."""
 
@@ -86,17 +86,17 @@ def sweep_orders(
         held = model.card.held_out
         rows.append(
             OrderRow(
-                name,
-                order,
-                {b: v["model"] for b, v in held.items()},
-                {b: v["floor"] for b, v in held.items()},
-                {
+                method=name,
+                order=order,
+                error={b: v["model"] for b, v in held.items()},
+                floor={b: v["floor"] for b, v in held.items()},
+                baselines={
                     b: {k: v[k] for k in ("nothing moves", "mean velocity", "mean motion")}
                     for b, v in held.items()
                 },
-                model.card.spectral_abscissa,
-                1e3 * _price(model, test),
-                model.card.verdict,
+                abscissa=model.card.spectral_abscissa,
+                roll_out_ms=1e3 * _price(model, test),
+                verdict=model.card.verdict,
             )
         )
         if progress is not None:

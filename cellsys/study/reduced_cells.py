@@ -26,7 +26,7 @@ from cellsys.trajectory import Trajectory, cell_names
 MATRIX = "matrix.displacement"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ReducedCells(Shown):
     """Reduced cells against the full-order run, up to its end.
 
@@ -142,7 +142,7 @@ def reduced_cells(
     sensor = FieldSensor.of(sensing) if steered and sensing is not None else None
     cells = couple(
         copied,
-        coupling=LoadPorts(full_field(system), places, headings),
+        coupling=LoadPorts(field=full_field(system), positions=places, headings=headings),
         controller=law,
         sensor=sensor,
     )
@@ -187,11 +187,11 @@ def _compared(
         turn = heading_error_deg(np.asarray(run.p)[marks], small.p)
         heading = float(np.sqrt(np.mean(turn**2)))
     return ReducedCells(
-        small,
-        latent,
-        motion(cells(small, slice(None)), cells(run, marks)),
-        relative(small.block(MATRIX), u),
-        relative(summed, u),
-        heading,
-        steered,
+        run=small,
+        latent=latent,
+        cells=motion(cells(small, slice(None)), cells(run, marks)),
+        matrix=relative(small.block(MATRIX), u),
+        superposed=relative(summed, u),
+        heading=heading,
+        steered=steered,
     )

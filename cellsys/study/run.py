@@ -47,7 +47,7 @@ Progress = Callable[[str, float], None]
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class StudyResult(Shown):
     """What `study` computed; everything the report shows.
 
@@ -254,20 +254,20 @@ def study(
         "trust": trust,
     }
     result = StudyResult(
-        scene,
-        main,
-        models,
-        plant,
-        sweep,
-        poles,
-        loop,
-        reduced,
-        linear,
-        loop_margins,
-        magnitudes,
-        summary,
-        folder,
-        charges,
+        scene=scene,
+        run=main,
+        models=models,
+        model=plant,
+        sweep=sweep,
+        poles=poles,
+        loop=loop,
+        reduced=reduced,
+        linear=linear,
+        margins=loop_margins,
+        magnitudes=magnitudes,
+        summary=summary,
+        out=folder,
+        equivariant=charges,
     )
     _write(result, system, data, say)
     say("report", 1.0)

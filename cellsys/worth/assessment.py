@@ -194,7 +194,7 @@ def errors(
     return out
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Encoded:
     """Runs encoded once in a large basis, for the cards of all smaller orders in it.
 
@@ -210,7 +210,7 @@ class Encoded:
     @classmethod
     def of(cls, model: ReducedModel, data: Snapshots, training: Snapshots) -> Encoded:
         """`model` is any model with the large basis."""
-        return cls([encode_run(model, r) for r in data.runs], training)
+        return cls(runs=[encode_run(model, r) for r in data.runs], training=training)
 
     @cached_property
     def motion(self) -> np.ndarray | None:

@@ -36,7 +36,7 @@ T = np.arange(0.0, 201.0)
 @pytest.fixture(scope="module")
 def problem():
     loop = make(3, m=10, gain=0.2)
-    return CostProblem("a small loop", loop.system, T)
+    return CostProblem(name="a small loop", system=loop.system, t=T)
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def test_files_and_figure(problem, references, tmp_path):
 
 
 def test_failures_are_gaps_with_their_reason(tmp_path):
-    case = CostProblem("E5", E5.system, np.array([0.0, 10.0]))
+    case = CostProblem(name="E5", system=E5.system, t=np.array([0.0, 10.0]))
     ok, other = by_tolerance(cs.Radau, [1e-9], {"max_steps": 10**6}), by_tolerance(cs.LSODA, [1e-9])
     found = work_precision([by_tolerance(cs.IDAS, [1e-24])], case, (ok, other), repeats=1)
     assert np.isnan(found.points[0].error)
@@ -141,7 +141,16 @@ def test_budget_names_the_floor():
     found = budget(loop, error=1e-9, t=T, setups=coarse)
     assert not found
     assert "leaves" in found.floor
-    card = cs.Card(6, "made up", "none", 1, 1, (), -0.1, held_out={"cell": {"model": 0.3}})
+    card = cs.Card(
+        order=6,
+        method="made up",
+        scale="none",
+        samples=1,
+        columns=1,
+        runs=(),
+        spectral_abscissa=-0.1,
+        held_out={"cell": {"model": 0.3}},
+    )
     known = dataclasses.replace(loop, model=dataclasses.replace(loop.model, card=card))
     none = budget(known, error=0.01, t=T)
     assert not none
@@ -158,7 +167,7 @@ def test_refusals():
     with pytest.raises(ParameterError, match="target must be a ClosedLoop"):
         budget("scene", error=0.1)
     with pytest.raises(ParameterError, match="at least one setting"):
-        Setup("none", lambda p, s: None)
+        Setup(name="none", solve=lambda p, s: None)
 
 
 def test_budget_closes_the_loop_of_a_model():
@@ -176,7 +185,16 @@ def test_budget_closes_the_loop_of_a_model():
 
 def test_budget_of_a_loop_with_its_own_step():
     """Nothing to choose: the error is the one that the card measured on held-out runs."""
-    card = cs.Card(1, "made up", "none", 1, 1, (), -0.1, held_out={"cell": {"model": 0.06}})
+    card = cs.Card(
+        order=1,
+        method="made up",
+        scale="none",
+        samples=1,
+        columns=1,
+        runs=(),
+        spectral_abscissa=-0.1,
+        held_out={"cell": {"model": 0.06}},
+    )
     known, unknown = equivariant(), equivariant()
     object.__setattr__(known, "card", card)
     none = budget(cs.closed_loop(known), error=0.05)

@@ -24,7 +24,7 @@ def chain(seed, samples=60, n=6):
     for k in range(samples - 1):
         noise = 0.05 * rng.standard_normal(2 * n)
         x[k + 1] = A @ x[k] + commands[k] @ pull + noise
-    return cs.RunData(x, commands=commands, label=f"run {seed}")
+    return cs.RunData(x=x, commands=commands, label=f"run {seed}")
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def test_trained_cells_beside_the_full_order_run(scene, tmp_path):
     runs = cs.run_ensemble([*train, alone], tmp_path, workers=1)
     known = cs.snapshots(runs[:3])
     model = cs.reduce(known, order=6, method=cs.Equivariant(folds=0, iterations=8))
-    field = cs.GalerkinField(cs.build(alone), order=20, places=10)
+    field = cs.GalerkinField(system=cs.build(alone), order=20, places=10)
     found = cs.cells_cost([model], field, alone, runs[3], {"full order": runs[3]}, repeats=1)
     reduced, full = found.rows
     assert reduced.setting == "6 latent variables"
@@ -118,7 +118,7 @@ def test_trained_cells_beside_the_full_order_run(scene, tmp_path):
     # What the row says is what a run through the public coupling says.
     t = runs[3].t[::2]
     amplitude, heading = step_commands(alone, t)
-    cells = cs.CellsOnField(model, field).simulate(amplitude, heading, one.position)
+    cells = cs.CellsOnField(model=model, field=field).simulate(amplitude, heading, one.position)
     body = runs[3].block("cell1.position")[::2]
     missed = np.linalg.norm(model.nodes(cells.block("z")[:, 0]) - body)
     missed /= np.linalg.norm(body - body[0])

@@ -40,7 +40,13 @@ def refined(parts=1):
         riding=read(dynamics.riding),
     )
     return cs.EquivariantModel(
-        dynamics, m.representation, m.modes, m.sites, m.states, m.auxiliaries, z_start=m.z_start
+        dynamics=dynamics,
+        representation=m.representation,
+        modes=m.modes,
+        sites=m.sites,
+        states=m.states,
+        auxiliaries=m.auxiliaries,
+        z_start=m.z_start,
     )
 
 
@@ -50,4 +56,4 @@ def reading(m, gain):
     K[:2, 0] = np.cos(0.5), np.sin(0.5)
     first = m.dynamics.starts()[1]
     K[0, 1 + first], K[1, 1 + first + m.dynamics.blocks[1].size] = gain, gain
-    return cs.StiffnessSensor(K)
+    return cs.StiffnessSensor(K_d=K)

@@ -13,7 +13,9 @@ from .runs import data, model, scene
 
 @pytest.fixture(scope="module")
 def field():
-    return cs.GalerkinField(cs.build(scene()), order=40, places=30, per_place=3, tolerance=1e-8)
+    return cs.GalerkinField(
+        system=cs.build(scene()), order=40, places=30, per_place=3, tolerance=1e-8
+    )
 
 
 def with_gain(m, gain):
@@ -24,17 +26,33 @@ def with_gain(m, gain):
         blocks[q] = dataclasses.replace(blocks[q], gamma=gain / size if size else 0.0)
     dynamics = dataclasses.replace(m.dynamics, blocks=tuple(blocks))
     return cs.EquivariantModel(
-        dynamics, m.representation, m.modes, m.sites, m.states, m.auxiliaries, z_start=m.z_start
+        dynamics=dynamics,
+        representation=m.representation,
+        modes=m.modes,
+        sites=m.sites,
+        states=m.states,
+        auxiliaries=m.auxiliaries,
+        z_start=m.z_start,
     )
 
 
 def without_commands(m):
     blocks = tuple(dataclasses.replace(b, B=np.zeros_like(b.B)) for b in m.dynamics.blocks)
     dynamics = CellDynamics(
-        blocks, m.dynamics.clock, m.dynamics.dt, m.dynamics.alone, m.dynamics.riding
+        blocks=blocks,
+        clock=m.dynamics.clock,
+        dt=m.dynamics.dt,
+        alone=m.dynamics.alone,
+        riding=m.dynamics.riding,
     )
     return cs.EquivariantModel(
-        dynamics, m.representation, m.modes, m.sites, m.states, m.auxiliaries, z_start=m.z_start
+        dynamics=dynamics,
+        representation=m.representation,
+        modes=m.modes,
+        sites=m.sites,
+        states=m.states,
+        auxiliaries=m.auxiliaries,
+        z_start=m.z_start,
     )
 
 
@@ -42,7 +60,7 @@ def without_commands(m):
 def test_storage_never_grows_without_commands(field, n):
     """Midpoint exchange; cells overlap. The rest is the exchange's tolerance times the power."""
     m = without_commands(with_gain(model(), 100.0))
-    cells = cs.CellsOnField(m, field, tolerance=1e-9)
+    cells = cs.CellsOnField(model=m, field=field, tolerance=1e-9)
     rng = np.random.default_rng(3)
     z = 0.3 * rng.standard_normal((n, m.order))
     state = cells.start(rng.uniform(-3, 3, (n, 2)), z)
@@ -57,7 +75,7 @@ def test_storage_never_grows_without_commands(field, n):
 def test_lagged_velocity_gains_energy(field):
     """The naive exchange, with the velocity of the step before, breaks the balance."""
     m = without_commands(with_gain(model(), 20000.0))
-    cells = cs.CellsOnField(m, field)
+    cells = cs.CellsOnField(model=m, field=field)
     rng = np.random.default_rng(3)
     state = cells.start(np.zeros((1, 2)), 0.3 * rng.standard_normal((1, m.order)))
     w = m.dynamics.clock.weights(0.0)
@@ -82,7 +100,7 @@ def test_lagged_velocity_gains_energy(field):
 
 def test_exchanging_two_cells_changes_nothing(field):
     m = model()
-    cells = cs.CellsOnField(m, field)
+    cells = cs.CellsOnField(model=m, field=field)
     a, h = np.full((8, 2), 1.0), np.tile([0.3, 2.0], (8, 1))
     a[:, 1] = 0.6
     places = np.array([[-6.0, 1.0], [7.0, -2.0]])
@@ -95,7 +113,9 @@ def test_exchanging_two_cells_changes_nothing(field):
 
 def test_cells_drive_the_matrix_and_ride_on_it(field):
     m = model()
-    run = cs.CellsOnField(m, field).simulate(np.ones((15, 1)), np.zeros((15, 1)), np.zeros(2))
+    run = cs.CellsOnField(model=m, field=field).simulate(
+        np.ones((15, 1)), np.zeros((15, 1)), np.zeros(2)
+    )
     assert np.abs(field.displacement(run.block("field.modes")[-1])).max() > 1e-3
     assert run.statistics["exchanges"] >= 1
     alone = m.simulate_commands(m.z_start, np.ones(15), np.zeros(15))
@@ -115,7 +135,7 @@ def test_cells_drive_the_matrix_and_ride_on_it(field):
 )
 def test_bad_starts_and_commands_are_refused(field, call):
     with pytest.raises((cs.DataError, cs.DimensionError)):
-        call(cs.CellsOnField(model(), field))
+        call(cs.CellsOnField(model=model(), field=field))
 
 
 def test_the_card_says_what_the_cell_is_worth_on_the_matrix(field):
@@ -131,6 +151,6 @@ def test_the_card_says_what_the_cell_is_worth_on_the_matrix(field):
          "effects": {"drag": {}, "matrix_elasticity": {}},
          "duration": "10 s", "sample": "5 s", "cells": []}
     )  # fmt: skip
-    small = cs.GalerkinField(cs.build(other), order=10, places=10, per_place=2)
+    small = cs.GalerkinField(system=cs.build(other), order=10, places=10, per_place=2)
     with pytest.raises(cs.DataError, match="nodes, the runs"):
         cs.with_matrix(model(), small, held, train)

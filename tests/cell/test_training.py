@@ -27,7 +27,9 @@ def problem(seed=0, K=30, R=4, m=3, H=3, noise=0.0):
     u, v = rng.standard_normal((K, R, 2)), rng.standard_normal((K, R, m))
     x = np.zeros((K + 1, R, m))
     x[0] = rng.standard_normal((R, m))
-    data = ChargeData(x, u, v, w, np.array([1.0, 0.5, 0.2]), np.ones((K + 1, R)))
+    data = ChargeData(
+        x=x, u=u, v=v, w=w, weight=np.array([1.0, 0.5, 0.2]), counts=np.ones((K + 1, R))
+    )
     x = roll_out(true, data) + noise * rng.standard_normal(x.shape)
     return true, dataclasses.replace(data, x=x)
 
@@ -112,12 +114,12 @@ def test_without_the_constraint_a_long_roll_out_leaves_every_bound():
     for k in range(K):
         x[k + 1] = x[k] @ (1.02 * Q).T
     data = ChargeData(
-        x,
-        np.zeros((K, 2, 2)),
-        np.zeros((K, 2, m)),
-        np.ones((K, 1)),
-        np.ones(m),
-        np.ones((K + 1, 2)),
+        x=x,
+        u=np.zeros((K, 2, 2)),
+        v=np.zeros((K, 2, m)),
+        w=np.ones((K, 1)),
+        weight=np.ones(m),
+        counts=np.ones((K + 1, 2)),
     )
     free = one_step(data, 1e-12, np.inf).A[0]
     kept = one_step(data, 1e-12, 1.0 - 1e-3).A[0]

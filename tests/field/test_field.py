@@ -31,7 +31,7 @@ LAWS = {
 
 @lru_cache(maxsize=8)
 def field(law="buckling", order=40, linear=False):
-    return cs.GalerkinField(small(**LAWS[law]), order=order, linear=linear, **FEW)
+    return cs.GalerkinField(system=small(**LAWS[law]), order=order, linear=linear, **FEW)
 
 
 @lru_cache(maxsize=8)
@@ -109,17 +109,17 @@ def test_modes_are_orthonormal_nested_and_hold_the_rim():
     assert np.abs(overlap - np.eye(f.order)).max() < 1e-12
     held = np.repeat(small().matrix.clamped, 3)
     assert not f.modes[held].any()
-    again = cs.GalerkinField(small(), order=10, **FEW)
+    again = cs.GalerkinField(system=small(), order=10, **FEW)
     assert np.array_equal(again.modes, f.modes[:, :10])
     assert np.array_equal(f.truncated(10).modes, again.modes)
-    other = cs.GalerkinField(small(), order=10, seed=1, **FEW)
+    other = cs.GalerkinField(system=small(), order=10, seed=1, **FEW)
     assert sla.subspace_angles(other.modes, again.modes).max() > 0.01
 
 
 def test_snapshots_enter_the_modes():
     shift = np.zeros((1, *field().nodes.shape))
     shift[0, field().surface[3]] = 1.0  # one node alone: no smooth load does that
-    f = cs.GalerkinField(small(), order=20, snapshots=shift, **FEW)
+    f = cs.GalerkinField(system=small(), order=20, snapshots=shift, **FEW)
 
     def missed(g):
         left = shift[0] - g.displacement(g.project(shift[0]))
@@ -135,17 +135,17 @@ def test_snapshots_enter_the_modes():
 
 def test_a_full_basis_gives_the_full_field():
     whole = full()
-    f = cs.GalerkinField(small(), modes=whole.modes.toarray(), tolerance=1e-9)
+    f = cs.GalerkinField(system=small(), modes=whole.modes.toarray(), tolerance=1e-9)
     loads = patch_loads(f, 3, seed=2)
     one = f.displacement(f.simulate(loads, 10.0).x)
-    two = whole.displacement(cs.FullField(small(), tolerance=1e-9).simulate(loads, 10.0).x)
+    two = whole.displacement(cs.FullField(system=small(), tolerance=1e-9).simulate(loads, 10.0).x)
     # Both leave 1e-9 of the load; soft directions have 1e3 times less stiffness than stiff ones.
     assert np.abs(one - two).max() < 1e-6 * np.abs(two).max()
 
 
 def test_small_loads_move_the_linear_field():
     f, lin = field(), field(linear=True)
-    lin = cs.GalerkinField(small(), modes=f.modes, linear=True)
+    lin = cs.GalerkinField(system=small(), modes=f.modes, linear=True)
     load = f.project(patch_loads(f, 1, seed=3, size=1e-3))[0]
     q, _ = f.step(np.zeros(f.order), load, 20.0)
     r, _ = lin.step(np.zeros(f.order), load, 20.0)
@@ -199,7 +199,7 @@ def test_steps_converge_at_first_order():
         run = f_fine.simulate(np.tile(load, (n, 1)), 0.8 / n)
         return run.x[-1]
 
-    f_fine = cs.GalerkinField(small(), modes=f.modes, tolerance=1e-10)
+    f_fine = cs.GalerkinField(system=small(), modes=f.modes, tolerance=1e-10)
     best = end(256)
     error = [np.linalg.norm(end(n) - best) for n in (8, 16, 32)]
     ratios = np.array(error[:-1]) / np.array(error[1:])
@@ -207,7 +207,7 @@ def test_steps_converge_at_first_order():
 
 
 def test_memory_saves_evaluations_and_changes_nothing_else():
-    f = cs.GalerkinField(small(), modes=field().modes, tolerance=1e-8)
+    f = cs.GalerkinField(system=small(), modes=field().modes, tolerance=1e-8)
     load = f.project(patch_loads(f, 1, seed=6))[0] * np.linspace(0.1, 1.0, 15)[:, None]
     run = f.simulate(load, 10.0)
     q, spent = np.zeros(f.order), 0
@@ -229,7 +229,11 @@ def test_a_guess_beyond_a_barrier_is_not_believed():
         return -20.0 * (q @ q - 1.0) * q - 1.0
 
     problem = StepProblem(
-        1e-3, energy, force, lambda r: r / 60.0, lambda q: lambda r: r / (60.0 * q @ q)
+        drag=1e-3,
+        energy=energy,
+        force=force,
+        kept=lambda r: r / 60.0,
+        fresh=lambda q: lambda r: r / (60.0 * q @ q),
     )
     q0 = np.array([-1.02])
     memory = StepMemory(dt=1.0, q=q0, force=force(q0), energy=energy(q0), move=np.array([2.0]))
@@ -247,7 +251,7 @@ def test_a_guess_beyond_a_barrier_is_not_believed():
 
 
 def test_a_step_that_does_not_converge_says_so():
-    f = cs.GalerkinField(small(), modes=field().modes, iterations=3, tolerance=1e-10)
+    f = cs.GalerkinField(system=small(), modes=field().modes, iterations=3, tolerance=1e-10)
     load = f.project(patch_loads(f, 1, seed=7, size=400.0))[0]
     with pytest.raises(IntegrationError, match="cap 3") as caught:
         f.step(np.zeros(f.order), load, 10.0, t=35.0)
@@ -282,7 +286,7 @@ def test_the_plant_is_passive_between_collocated_ports():
 
 
 def test_the_model_is_the_field_at_rest():
-    f = cs.GalerkinField(small(), modes=field().modes, linear=True)
+    f = cs.GalerkinField(system=small(), modes=field().modes, linear=True)
     model = f.model()
     assert np.allclose(np.sort(model.poles().real), np.sort(-sla.eigvalsh(f.stiffness) / f.drag))
     q = np.random.default_rng(9).standard_normal(f.order)
@@ -304,7 +308,7 @@ def test_passivity_report_sees_an_indefinite_tangent():
     assert rest.index >= -1e-12
     # Squeezed by 10 % on a soft support: compressed fibres push each other sideways.
     soft = small(matrix_elasticity={"law": "linear"}, foundation={"spring": "1 pN/um"})
-    f = cs.GalerkinField(soft, order=100, **FEW)
+    f = cs.GalerkinField(system=soft, order=100, **FEW)
     at = f.project(-0.1 * f.nodes * np.array([1.0, 1.0, 0.0]))
     report = f.passivity(10.0, at=at)
     assert report.least_curvature == pytest.approx(sla.eigvalsh(f.tangent(at))[0])
@@ -340,7 +344,7 @@ def test_true_loads_of_a_run_give_its_matrix():
     scene = cs.Scene.parse({**table(), "duration": "240 s", "sample": "2 s"})
     run = cs.run_scene(scene)
     truth = run.block("matrix.displacement")
-    f = cs.GalerkinField(clutch(), order=200)
+    f = cs.GalerkinField(system=clutch(), order=200)
     loads = f.loads(run)
     whole = cs.full_field(clutch())
 
@@ -377,7 +381,7 @@ def test_what_is_no_matrix_is_refused():
                  stiffness_sensing=None, polarity=None)  # fmt: skip
     del spec["matrix"]
     with pytest.raises(SceneError, match="no matrix"):
-        cs.GalerkinField(cs.build(cs.Scene.parse(spec)))
+        cs.GalerkinField(system=cs.build(cs.Scene.parse(spec)))
     with pytest.raises(SceneError, match="no elasticity"):
         cs.full_field(
             small(
@@ -385,28 +389,28 @@ def test_what_is_no_matrix_is_refused():
             )
         )
     with pytest.raises(ParameterError, match="must be a SpreadingSystem, made by"):
-        cs.GalerkinField({})
+        cs.GalerkinField(system={})
     with pytest.raises(SceneError, match="matrix_creep"):
-        cs.GalerkinField(small(matrix_creep={}))
+        cs.GalerkinField(system=small(matrix_creep={}))
     with pytest.raises(SceneError, match="external_strain"):
-        cs.GalerkinField(small(external_strain={}))
+        cs.GalerkinField(system=small(external_strain={}))
 
 
 def test_bad_arguments_are_refused():
     f = field()
     with pytest.raises(RankError, match="span at most"):
-        cs.GalerkinField(small(), order=30, places=2, per_place=3)
+        cs.GalerkinField(system=small(), order=30, places=2, per_place=3)
     for wrong in ({"order": 0}, {"order": 2.5}, {"tolerance": 0.0}, {"slope": float("nan")}):
         with pytest.raises(ParameterError):
-            cs.GalerkinField(small(), **wrong)
+            cs.GalerkinField(system=small(), **wrong)
     with pytest.raises(DataError, match="orthonormal"):
-        cs.GalerkinField(small(), modes=2.0 * f.modes)
+        cs.GalerkinField(system=small(), modes=2.0 * f.modes)
     moving = np.array(f.modes)
     moving[np.flatnonzero(np.repeat(small().matrix.clamped, 3))[0]] = 0.1
     with pytest.raises(DataError, match="clamped"):
-        cs.GalerkinField(small(), modes=moving)
+        cs.GalerkinField(system=small(), modes=moving)
     with pytest.raises(DimensionError, match="modes"):
-        cs.GalerkinField(small(), modes=f.modes[:-1])
+        cs.GalerkinField(system=small(), modes=f.modes[:-1])
     q = np.zeros(f.order)
     with pytest.raises(DataError, match="NaN"):
         f.step(q, np.full(f.order, np.nan), 1.0)

@@ -173,7 +173,7 @@ def test_a_prediction_beyond_what_was_trained_says_nothing_by_itself(tmp_path):
     # naive: numbers for an input a hundred ranges away, and no word
     assert np.isfinite(naive.rolled(model.A, 100 * model.z_start, model.dt, 20)).all()
     with pytest.raises(CellsysError, match="no trained range"):
-        LatentModel(-np.eye(2)).flags([0.0], [[0.0, 0.0]])
+        LatentModel(A=-np.eye(2)).flags([0.0], [[0.0, 0.0]])
 
 
 def a_million_seconds_are_exact(seed, rate, m):
@@ -181,7 +181,7 @@ def a_million_seconds_are_exact(seed, rate, m):
     rng = np.random.default_rng(seed)
     A = stable_matrix(m, rng, slowest=rate, fastest=min(1.0, 100 * rate))
     b, z0 = rng.standard_normal(m), rng.standard_normal(m)
-    model = LatentModel(A, offset=b)
+    model = LatentModel(A=A, offset=b)
     got = model.predict(z0, None, HORIZONS)
     for k in (1, 3, 5):
         want = exact_roll(A, b, z0, HORIZONS[k])
@@ -195,7 +195,7 @@ def growth_is_refused_before_it_overflows(g, spread, step):
     """z' = g z: refused with g and a time, or right."""
     A = np.array([[g, 0.0], [spread, -1.0]])
     dt = min(0.1 / g, 1.0)
-    model = LatentModel(A, dt=dt if step else None)
+    model = LatentModel(A=A, dt=dt if step else None)
     t = dt * np.array([0, 10, 10**4, 10**7])
     exponent = (np.log1p(g * dt) / dt if step else g) * t
     if 330 < exponent[-1] < 350:
@@ -221,7 +221,7 @@ def test_ten_million_steps_between_two_samples_take_no_time():
     """Step model of 0.1 s to 1e6 s: powers, not steps; and the same numbers as steps."""
     rng = np.random.default_rng(0)
     A, b, z0 = stable_matrix(5, rng), rng.standard_normal(5), rng.standard_normal(5)
-    model = LatentModel(A, offset=b, dt=0.01)
+    model = LatentModel(A=A, offset=b, dt=0.01)
     began = time.process_time()
     z = model.predict(z0, None, np.array([0.0, 1e6]))
     assert time.process_time() - began < 1.0
@@ -235,7 +235,7 @@ def inputs_of_any_size_are_carried(size, m, seed):
     """A linear model answers in proportion, up to where squares would overflow."""
     rng = np.random.default_rng(seed)
     A, B = stable_matrix(m, rng), rng.standard_normal((m, 2))
-    model = LatentModel(A, B=B)
+    model = LatentModel(A=A, B=B)
     t = np.array([0.0, 1.0, 5.0, 100.0])
     one = model.predict(np.zeros(m), np.array([1.0, -1.0]), t)
     many = model.predict(np.zeros(m), size * np.array([1.0, -1.0]), t)
@@ -269,7 +269,7 @@ def test_growth_unseen():
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_what_is_not_finite_is_refused(bad):
-    model = LatentModel(-np.eye(2), B=np.eye(2))
+    model = LatentModel(A=-np.eye(2), B=np.eye(2))
     for z0, u in ((np.array([bad, 0]), None), (np.zeros(2), np.array([0.0, bad]))):
         with pytest.raises(CellsysError, match="NaN or inf"):
             model.predict(z0, u, np.array([0.0, 1.0]))

@@ -20,7 +20,10 @@ def clock(times, method, *, jump=1.0, end=10.0):
 
     def event(k, at):
         return EventFunction(
-            f"e{k}", lambda t, x: x[0] - at, 1, lambda t, x: x + np.array([0.0, jump])
+            name=f"e{k}",
+            guard=lambda t, x: x[0] - at,
+            direction=1,
+            reset=lambda t, x: x + np.array([0.0, jump]),
         )
 
     system = Hybrid(
@@ -64,7 +67,7 @@ def test_at_the_start_and_at_the_end(method):
 
 def a_grazing_guard_is_seen_or_not_by_its_depth(depth, method):
     """cos t - 1 + depth falls below zero for 2 sqrt(2 depth) s at t = pi-periodic lows."""
-    event = EventFunction("low", lambda t, x: x[0], -1, None)
+    event = EventFunction(name="low", guard=lambda t, x: x[0], direction=-1, reset=None)
     system = Hybrid(
         [event], states=["x", "v"], x0=[2.0 - depth, 0.0], W_x=[[0, 1], [0, 0]],
         forcing=lambda t, x: np.array([0.0, -np.cos(t)]),
@@ -110,8 +113,12 @@ def a_bouncing_ball_ends_in_a_word(restitution, method):
 
 def test_a_sliding_mode_is_called_chattering():
     """x' = -sign(x) and thresholds 1e-9 apart: Filippov's sliding, no end of events."""
-    down = EventFunction("down", lambda t, x: x[0] + 1e-9, -1, lambda t, x: x * [1, -1])
-    up = EventFunction("up", lambda t, x: x[0] - 1e-9, 1, lambda t, x: x * [1, -1])
+    down = EventFunction(
+        name="down", guard=lambda t, x: x[0] + 1e-9, direction=-1, reset=lambda t, x: x * [1, -1]
+    )
+    up = EventFunction(
+        name="up", guard=lambda t, x: x[0] - 1e-9, direction=1, reset=lambda t, x: x * [1, -1]
+    )
     system = Hybrid(
         [down, up], states=["x", "s"], x0=[0.5, -1.0],
         forcing=lambda t, x: np.array([x[1], 0.0]),

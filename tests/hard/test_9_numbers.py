@@ -50,7 +50,7 @@ def doors(M):
         lambda: cs.zeros((M, *EDGE)),
         lambda: cs.margins((M, *EDGE)),
         lambda: cs.frequency_response((M, *EDGE), [1.0]),
-        lambda: cs.LatentModel(M),
+        lambda: cs.LatentModel(A=M),
     )
 
 
@@ -61,9 +61,9 @@ def test_what_is_no_matrix_is_refused_everywhere(name):
         with pytest.raises(CellsysError):
             door()
     for take in (
-        lambda: cs.LatentModel(A, B=M),
-        lambda: cs.LatentModel(A, V=M),
-        lambda: cs.LatentModel(A, offset=M),
+        lambda: cs.LatentModel(A=A, B=M),
+        lambda: cs.LatentModel(A=A, V=M),
+        lambda: cs.LatentModel(A=A, offset=M),
         lambda: cs.frequency_response((A, M, EDGE[1], [[0.0, 0.0]]), [1.0]),
     ):
         if name in ("wide", "cube", "1e308"):
@@ -81,7 +81,7 @@ def test_numbers_of_any_make_give_the_same(name):
     M = GOOD[name]
     plain = np.array(M, dtype=float)
     assert np.array_equal(np.asarray(cs.poles(M)), np.asarray(cs.poles(plain)))
-    model = cs.LatentModel(M)
+    model = cs.LatentModel(A=M)
     assert np.array_equal(model.A, plain)
     assert np.array_equal(
         cs.frequency_response((M, *EDGE), [1.0]).response,
@@ -107,12 +107,12 @@ TIMES = {
 @pytest.mark.parametrize("name", TIMES)
 @pytest.mark.parametrize("dt", [None, 0.5])
 def test_times_that_are_none(name, dt):
-    model = cs.LatentModel(A, B=np.eye(2), dt=dt)
+    model = cs.LatentModel(A=A, B=np.eye(2), dt=dt)
     with pytest.raises(CellsysError):
         model.predict([1.0, 1.0], None, TIMES[name])
     assert model.predict([1.0, 1.0], None, [3.0]).shape == (1, 2)
     with pytest.raises(CellsysError, match=r"counted|grid"):
-        cs.LatentModel(A, dt=1e-300).predict([1.0, 1.0], None, [0.0, 1e300])
+        cs.LatentModel(A=A, dt=1e-300).predict([1.0, 1.0], None, [0.0, 1e300])
     for z0, u in (([1j, 0], None), (["a", "b"], None), ([1, 1], ["a", "b"]), ([1, 1], 1j)):
         with pytest.raises(CellsysError):
             model.predict(z0, u, [0.0, 1.0])
@@ -124,7 +124,7 @@ def test_gains_and_steps_that_are_none(value):
         cs.PolarityLaw(kappa=value)
     if value is not None:
         with pytest.raises(CellsysError):
-            cs.LatentModel(A, dt=value)
+            cs.LatentModel(A=A, dt=value)
     if value != -1.0:
         with pytest.raises(CellsysError):
             cs.PolarityLaw(kappa=1.0).step([1, 0, 0], [0, 1, 0], value)
@@ -147,7 +147,7 @@ def test_polarities_that_are_none(p):
 @pytest.mark.parametrize("path", ["", None, 3, "a\0b"])
 def test_paths_that_are_none(path):
     with pytest.raises(CellsysError, match="path must"):
-        cs.LatentModel(A).save(path)
+        cs.LatentModel(A=A).save(path)
 
 
 @pytest.mark.parametrize("p", [[1j, 0, 0], "a", [5e-324, 0, 0], [0, 0, 1.0], [np.nan, 0, 0]])
@@ -161,7 +161,7 @@ def test_starts_of_a_loop_that_are_none(p):
 
 def test_counts_of_cells():
     V = np.linalg.qr(np.random.default_rng(0).standard_normal((6, 2)))[0]
-    one = cs.LatentModel(A, V=V, blocks={"component": range(3), "field": range(3, 6)})
+    one = cs.LatentModel(A=A, V=V, blocks={"component": range(3), "field": range(3, 6)})
     for K in (0, -1, 2.0, np.nan, "3", True, 10**30, [3]):
         with pytest.raises(CellsysError, match="n_cells"):
             cs.couple(one, n_cells=K)

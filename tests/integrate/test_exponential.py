@@ -98,8 +98,8 @@ def test_inputs_are_averaged_exactly():
 
 def test_defective_matrix_is_not_diagonalised():
     A = -0.1 * np.eye(4) + np.diag([0.05] * 3, 1)
-    model = LatentModel(A, B=0.1 * np.ones((4, 4)), input_names=NAMES)
-    sensor = StiffnessSensor(np.vstack([np.eye(3, 5), np.zeros((0, 5))]) + 0.1)
+    model = LatentModel(A=A, B=0.1 * np.ones((4, 4)), input_names=NAMES)
+    sensor = StiffnessSensor(K_d=np.vstack([np.eye(3, 5), np.zeros((0, 5))]) + 0.1)
     loop = closed_loop(model, sensor=sensor, z0=np.ones(4))
     t = np.arange(0.0, 201.0, 5.0)
     run = loop.simulate(t, TIGHT)
@@ -121,8 +121,8 @@ def test_start_across_from_the_target():
 
 
 def test_unstable_plant_ends_in_an_error():
-    model = LatentModel(np.diag([0.5, -0.1]), B=0.1 * np.ones((2, 4)), input_names=NAMES)
-    loop = closed_loop(model, sensor=StiffnessSensor(np.eye(3)), z0=np.ones(2))
+    model = LatentModel(A=np.diag([0.5, -0.1]), B=0.1 * np.ones((2, 4)), input_names=NAMES)
+    loop = closed_loop(model, sensor=StiffnessSensor(K_d=np.eye(3)), z0=np.ones(2))
     with pytest.raises(IntegrationError, match="not finite"):
         loop.simulate(np.array([0.0, 1e4]), TIGHT)
 
@@ -208,11 +208,11 @@ def test_a_printed_run_shows_its_error_and_its_time():
 
 def test_constant_direction_in_closed_form():
     """Constant d: tan(theta/2) decays as exp(-kappa t)."""
-    model = LatentModel(np.diag([-0.1, -0.2]), B=np.zeros((2, 4)), input_names=NAMES)
+    model = LatentModel(A=np.diag([-0.1, -0.2]), B=np.zeros((2, 4)), input_names=NAMES)
     K_d = np.zeros((3, 3))
     K_d[0, 0] = 1.0
     loop = closed_loop(
-        model, controller=PolarityLaw(kappa=0.05), sensor=StiffnessSensor(K_d), z0=np.ones(2),
+        model, controller=PolarityLaw(kappa=0.05), sensor=StiffnessSensor(K_d=K_d), z0=np.ones(2),
         p0=heading(2.5),
     )  # fmt: skip
     t = np.arange(0.0, 200.0, 5.0)

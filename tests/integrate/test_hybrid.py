@@ -37,7 +37,11 @@ class Hybrid(OdeSystem):
 def ball(level=False, restitution=0.8):
     """Falls from height 1 with g = 2: bounces at t = 1, then after 2 e, 2 e^2, ..."""
     bounce = EventFunction(
-        "bounce", lambda t, x: x[0], -1, lambda t, x: np.array([0.0, -restitution * x[1]]), level
+        name="bounce",
+        guard=lambda t, x: x[0],
+        direction=-1,
+        reset=lambda t, x: np.array([0.0, -restitution * x[1]]),
+        level=level,
     )
     return Hybrid(
         [bounce], states=["height", "speed"], x0=[1.0, 0.0], W_x=[[0, 1], [0, 0]],
@@ -78,7 +82,11 @@ def test_energy_between_bounces_and_averages(method):
 def test_a_guard_already_past_zero_fires_only_if_it_is_a_level(method):
     def system(level):
         event = EventFunction(
-            "low", lambda t, x: x[0] - 1.0, -1, lambda t, x: np.array([x[0] + 2.0]), level
+            name="low",
+            guard=lambda t, x: x[0] - 1.0,
+            direction=-1,
+            reset=lambda t, x: np.array([x[0] + 2.0]),
+            level=level,
         )
         return Hybrid([event], states=["x"], x0=[0.5], W_x=[[-1.0]])
 
@@ -92,8 +100,20 @@ def test_a_guard_already_past_zero_fires_only_if_it_is_a_level(method):
 
 
 def test_two_guards_that_trigger_each_other_are_called_chattering():
-    low = EventFunction("down", lambda t, x: 1.0 - x[0], -1, lambda t, x: x - 1.0, True)
-    high = EventFunction("up", lambda t, x: x[0] - 0.5, -1, lambda t, x: x + 1.0, True)
+    low = EventFunction(
+        name="down",
+        guard=lambda t, x: 1.0 - x[0],
+        direction=-1,
+        reset=lambda t, x: x - 1.0,
+        level=True,
+    )
+    high = EventFunction(
+        name="up",
+        guard=lambda t, x: x[0] - 0.5,
+        direction=-1,
+        reset=lambda t, x: x + 1.0,
+        level=True,
+    )
     system = Hybrid([low, high], states=["x"], x0=[0.9], forcing=lambda t, x: np.ones(1))
     with pytest.raises(IntegrationError, match=r"chattering.*separate the thresholds") as error:
         simulate(system, DOP853(rtol=1e-6, atol=1e-8, cascade=20), [0.0, 1.0])
@@ -112,7 +132,7 @@ def test_observed_crossings_of_either_direction(method):
     """An event without reset notes every zero of sin t, and only that."""
 
     def wave(direction):
-        event = EventFunction("zero", lambda t, x: x[0], direction)
+        event = EventFunction(name="zero", guard=lambda t, x: x[0], direction=direction)
         return Hybrid([event], states=["s", "c"], x0=[0.0, 1.0], W_x=[[0, 1], [-1, 0]])
 
     settings = method(rtol=1e-9, atol=1e-11)
@@ -195,7 +215,12 @@ def test_failures_are_typed():
     stiff = OdeSystem(states=["x"], x0=[1.0], W_x=[[-1e5]])
     with pytest.raises(IntegrationError, match="spent its 100 steps"):
         simulate(stiff, DOP853(rtol=1e-6, atol=1e-8, max_steps=100), [0.0, 10.0])
-    bad = EventFunction("bad", lambda t, x: x[0] - 0.5, -1, lambda t, x: np.array([np.nan]))
+    bad = EventFunction(
+        name="bad",
+        guard=lambda t, x: x[0] - 0.5,
+        direction=-1,
+        reset=lambda t, x: np.array([np.nan]),
+    )
     decay = Hybrid([bad], states=["x"], x0=[1.0], W_x=[[-1.0]])
     with pytest.raises(IntegrationError, match="reset of event 'bad'"):
         simulate(decay, DOP853(rtol=1e-6, atol=1e-8), [0.0, 2.0])
@@ -209,7 +234,7 @@ def test_settings_are_checked(method):
         method(rtol=0.0, atol=1e-6)
     with pytest.raises(ParameterError, match="first_step"):
         method(rtol=1e-6, atol=1e-6, first_step=-1.0)
-    level = EventFunction("l", lambda t, x: x[0], 0, None, True)
+    level = EventFunction(name="l", guard=lambda t, x: x[0], direction=0, reset=None, level=True)
     system = Hybrid([level], states=["x"], x0=[1.0], W_x=[[-1.0]])
     with pytest.raises(ParameterError, match="level needs direction"):
         simulate(system, method(rtol=1e-6, atol=1e-6), [0.0, 1.0])

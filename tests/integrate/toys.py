@@ -15,7 +15,7 @@ class Springs(OverdampedSystem):
 
     def __init__(self, n=4, stiffness=50.0, pull=20.0, factor=1.3, stops=(), drag=2.0):
         nodes = Block("x", (n,), "um")
-        states = [nodes, Block("s", (), "um", "controller", "internal")]
+        states = [nodes, Block("s", (), "um", role="controller", kind="internal")]
         W = sp.diags_array([*[1.0 / drag] * n, 1.0], format="csr")
         auxiliaries = [Block("force", (n,), "pN"), Block("s.rate", (), "um/s", kind="internal")]
         super().__init__(states=states, x0=np.zeros(n + 1), auxiliaries=auxiliaries, W_eta=W)

@@ -17,11 +17,11 @@ def make(seed=0, m=5, kappa=1 / 60, normalise=True, gain=1.0, planar=True, names
     K_d[:, 1:] *= gain
     if planar:
         K_d[2] = 0.0
-    model = LatentModel(A, B=B, offset=b, input_names=names)
+    model = LatentModel(A=A, B=B, offset=b, input_names=names)
     return closed_loop(
         model,
         controller=PolarityLaw(kappa=kappa),
-        sensor=StiffnessSensor(K_d),
+        sensor=StiffnessSensor(K_d=K_d),
         normalise=normalise,
         z0=rng.standard_normal(m),
     )
@@ -41,9 +41,9 @@ def two_state(pole, coupling, kappa):
     B[1, 1] = coupling * pole**2
     K_d = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
     return closed_loop(
-        LatentModel(A, B=B, input_names=NAMES),
+        LatentModel(A=A, B=B, input_names=NAMES),
         controller=PolarityLaw(kappa=kappa),
-        sensor=StiffnessSensor(K_d),
+        sensor=StiffnessSensor(K_d=K_d),
         normalise=False,
         z0=np.zeros(2),
     )

@@ -207,9 +207,9 @@ def test_a_crawling_loop_has_no_equilibrium():
     A = sla.block_diag(model.A, 0.0)
     B = np.vstack([model.B, np.zeros(4)])
     crawling = closed_loop(
-        LatentModel(A, B=B, offset=np.append(model.offset, 0.3), input_names=NAMES),
+        LatentModel(A=A, B=B, offset=np.append(model.offset, 0.3), input_names=NAMES),
         controller=loop.controller,
-        sensor=StiffnessSensor(np.column_stack([loop.sensor.K_d, np.zeros(3)])),
+        sensor=StiffnessSensor(K_d=np.column_stack([loop.sensor.K_d, np.zeros(3)])),
         z0=np.append(loop.z0, 0.0),
     )
     with pytest.raises(DataError, match=r"no equilibrium found.*crawling"):
@@ -246,7 +246,7 @@ def test_points_to_linearise_at():
 def test_a_direction_of_zero_has_no_slope():
     K_d = np.zeros((3, 6))
     K_d[0, 1] = 1.0
-    loop = dataclasses.replace(make(0), sensor=StiffnessSensor(K_d))
+    loop = dataclasses.replace(make(0), sensor=StiffnessSensor(K_d=K_d))
     with pytest.raises(DataError, match="direction is zero"):
         loop.linearize((np.zeros(5), heading(0.0)))
     # and does not turn the cell
@@ -260,12 +260,12 @@ def test_closed_loop_refuses():
     with pytest.raises(ParameterError, match="no sensor"):
         closed_loop(model)
     with pytest.raises(DimensionError, match="sensor reads 3"):
-        closed_loop(model, sensor=StiffnessSensor(np.ones((3, 4))))
+        closed_loop(model, sensor=StiffnessSensor(K_d=np.ones((3, 4))))
     for names in (("a", "b", "c", "d"), ("cell1.cos", "cell2.sin", "cell1.cos2", "cell1.sin2")):
         with pytest.raises(ParameterError, match="heading features of one cell"):
             closed_loop(dataclasses.replace(model, input_names=names), sensor=sensor)
     with pytest.raises(ParameterError, match="heading features"):
-        closed_loop(LatentModel(-np.eye(5)), sensor=sensor)
+        closed_loop(LatentModel(A=-np.eye(5)), sensor=sensor)
     for options in (
         {"z0": np.zeros(4)},
         {"p0": np.zeros(2)},
@@ -280,8 +280,8 @@ def test_closed_loop_refuses():
 
 
 def test_a_step_model_without_continuous_form_is_refused_with_the_reason():
-    model = LatentModel([[-15.0]], B=np.ones((1, 4)), dt=0.1, input_names=NAMES)
-    loop = closed_loop(model, sensor=StiffnessSensor(np.ones((3, 2))))
+    model = LatentModel(A=[[-15.0]], B=np.ones((1, 4)), dt=0.1, input_names=NAMES)
+    loop = closed_loop(model, sensor=StiffnessSensor(K_d=np.ones((3, 2))))
     with pytest.raises(ParameterError, match="no continuous model"):
         loop.linearize(0.0)
 

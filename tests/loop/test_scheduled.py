@@ -14,7 +14,7 @@ def sensor(m, toward=0.5):
     K[:2, 0] = np.cos(toward), np.sin(toward)
     first = m.dynamics.starts()[1]
     K[0, 1 + first], K[1, 1 + first + m.dynamics.blocks[1].size] = 0.02, 0.02
-    return cs.StiffnessSensor(K)
+    return cs.StiffnessSensor(K_d=K)
 
 
 def loop(kappa=1 / 60, heading=2.0):
@@ -45,7 +45,7 @@ def test_constant_direction_is_followed_exactly():
     K = np.zeros((3, 1 + m.order))
     K[0, 0] = 1.0
     p0 = np.array([np.cos(2.0), np.sin(2.0), 0.0])
-    run = cs.closed_loop(m, sensor=cs.StiffnessSensor(K), p0=p0).simulate(10.0 * np.arange(31))
+    run = cs.closed_loop(m, sensor=cs.StiffnessSensor(K_d=K), p0=p0).simulate(10.0 * np.arange(31))
     angle = np.arctan2(run.p[:, 0, 1], run.p[:, 0, 0])
     np.testing.assert_allclose(np.tan(angle / 2), np.tan(1.0) * np.exp(-run.t / 60), rtol=1e-11)
 

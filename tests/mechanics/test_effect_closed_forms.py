@@ -17,9 +17,15 @@ def network(position, fibres, clamped, stiffness=1000.0):
     fibres = np.asarray(fibres, np.int64)
     length = np.linalg.norm(position[fibres[:, 1]] - position[fibres[:, 0]], axis=1)
     return Disc(
-        10.0, 1.0, position, fibres, length, np.full(len(fibres), stiffness),
-        np.asarray(clamped, bool), np.arange(len(position)),
-    )  # fmt: skip
+        radius=10.0,
+        thickness=1.0,
+        position=position,
+        fibres=fibres,
+        length=length,
+        stiffness=np.full(len(fibres), stiffness),
+        clamped=np.asarray(clamped, bool),
+        surface=np.arange(len(position)),
+    )
 
 
 def on_network(disc, **effects):

@@ -51,10 +51,10 @@ def test_leaving_a_port_out_leaves_its_column_out():
     drag = rng.uniform(1, 2, (5, 3))
     drag[2] = np.inf
     array = JunctionArray("cell", Block("cell.position", (5, 3), "um"), np.zeros((5, 3)), drag)
-    field = JunctionArray("matrix", Block("matrix.u", (4, 3), "um", "field"), np.zeros((4, 3)),
+    field = JunctionArray("matrix", Block("matrix.u", (4, 3), "um", role="field"), np.zeros((4, 3)),
                           np.ones((4, 3)))  # fmt: skip
     ports = [Port("cell", "cell.tension"), Port("cell", "cell.grip"), Port("matrix", "matrix.grip")]
-    bond = Block("cell.bond", (5,), "1", "component", "internal")
+    bond = Block("cell.bond", (5,), "1", role="component", kind="internal")
     full = junction_graph([array, field], ports, [(bond, np.full(5, 0.5))]).equations()
     assert full.W_eta.shape == (32, 47)
     np.testing.assert_array_equal(full.W_eta.toarray()[:15, :15], np.diag((1 / drag).ravel()))

@@ -23,10 +23,21 @@ from tests.population.systems import model
 RED = "\x1b[31mred\x9b0m\x07"
 ODD = (None, -1, "text", [[1]], {"a": 1}, 10**400)
 CARD = Card(
-    4, "PCR", "block", 10, 4, ("a",), -0.1, {"cell": {"model": 0.1, "floor": 0.1, "mse": 0.2}},
-    {"cell": {"model": 0.1, "floor": 0.1}}, verdict="fine", facts={"h": 1.0, "t": {"a": [1.0]}},
-    floors={"a": 0.1}, growth=(0.1, 0.2), warnings=("w",),
-)  # fmt: skip
+    order=4,
+    method="PCR",
+    scale="block",
+    samples=10,
+    columns=4,
+    runs=("a",),
+    spectral_abscissa=-0.1,
+    training={"cell": {"model": 0.1, "floor": 0.1, "mse": 0.2}},
+    held_out={"cell": {"model": 0.1, "floor": 0.1}},
+    verdict="fine",
+    facts={"h": 1.0, "t": {"a": [1.0]}},
+    floors={"a": 0.1},
+    growth=(0.1, 0.2),
+    warnings=("w",),
+)
 
 
 @pytest.fixture(scope="module")

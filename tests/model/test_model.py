@@ -30,7 +30,13 @@ def model():
     data = one_step_data(seed=1, commands=True)
     learned = reduce(data, order=6, method=PCR())
     rng = np.random.default_rng(0)
-    sensor = StiffnessSensor(rng.standard_normal((3, 7)), 0.1, 3.0, float("nan"), 9.0)
+    sensor = StiffnessSensor(
+        K_d=rng.standard_normal((3, 7)),
+        ridge=0.1,
+        training_error=3.0,
+        held_out_error=float("nan"),
+        constant_error=9.0,
+    )
     return dataclasses.replace(learned, sensor=sensor)
 
 
@@ -55,7 +61,7 @@ def test_encode_and_reconstruct(model):
 
 
 def test_no_basis_is_a_named_error():
-    bare = LatentModel(-np.eye(2))
+    bare = LatentModel(A=-np.eye(2))
     for name in ("V_x", "V_eta"):
         with pytest.raises(RepresentationError, match=name):
             getattr(bare, name)
@@ -105,7 +111,7 @@ def test_constructor_refuses(fields, error, words):
 
 def test_arrays_are_copied_and_read_only():
     A = -np.eye(2)
-    model = LatentModel(A)
+    model = LatentModel(A=A)
     A[0, 0] = 5.0
     assert model.A[0, 0] == -1.0
     with pytest.raises(ValueError, match="read-only"):
@@ -118,7 +124,7 @@ def test_arrays_are_copied_and_read_only():
 def test_predict_of_a_continuous_model_is_the_exponential():
     rng = np.random.default_rng(2)
     A, B, b = stable_matrix(4, rng), rng.standard_normal((4, 2)), rng.standard_normal(4)
-    model = LatentModel(A, B=B, offset=b)
+    model = LatentModel(A=A, B=B, offset=b)
     t = np.array([0.0, 0.1, 0.35, 2.0, 2.1])
     c = rng.standard_normal((4, 2))
     z = rng.standard_normal(4)
@@ -163,7 +169,7 @@ def test_predict_refuses(model):
 @pytest.mark.parametrize("kind", [None, 1.0])
 def test_divergence_is_an_error_with_numbers(growth, kind):
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])
-    model = LatentModel(growth * (np.eye(2) + turn), dt=kind)
+    model = LatentModel(A=growth * (np.eye(2) + turn), dt=kind)
     with pytest.raises(IntegrationError, match="diverges") as caught:
         model.predict(np.array([1.0, 2.0]), None, np.arange(0.0, 2000.0))
     error = caught.value
@@ -174,7 +180,7 @@ def test_divergence_is_an_error_with_numbers(growth, kind):
 
 def test_a_long_hold_of_a_growing_model_is_refused_too():
     """One interval of many steps: the growth inside it is seen as well."""
-    model = LatentModel([[1e3, -1e3], [1e3, 1e3]], dt=1.0)
+    model = LatentModel(A=[[1e3, -1e3], [1e3, 1e3]], dt=1.0)
     with pytest.raises(IntegrationError, match="diverges"):
         model.predict(np.ones(2), None, np.array([0.0, 5000.0]))
 
@@ -182,7 +188,7 @@ def test_a_long_hold_of_a_growing_model_is_refused_too():
 def test_poles_of_a_step_model_are_logarithms():
     rng = np.random.default_rng(4)
     A, dt = stable_matrix(5, rng), 0.2
-    step = LatentModel((sla.expm(dt * A) - np.eye(5)) / dt, dt=dt)
+    step = LatentModel(A=(sla.expm(dt * A) - np.eye(5)) / dt, dt=dt)
     exact = np.sort_complex(np.linalg.eigvals(A))
     # rounding of I + dt A over dt
     assert np.abs(np.sort_complex(step.poles()) - exact).max() < 1e-11
@@ -209,14 +215,14 @@ def test_to_continuous_inverts_the_hold(seed):
 def test_no_continuous_form_on_the_negative_real_axis():
     for eigenvalue in (-0.5, -1e-3, 0.0):
         step = np.diag([0.9, eigenvalue])
-        model = LatentModel((step - np.eye(2)) / 0.1, dt=0.1)
+        model = LatentModel(A=(step - np.eye(2)) / 0.1, dt=0.1)
         with pytest.raises(ParameterError, match="no continuous model"):
             model.continuous_matrices()
         with pytest.raises(ParameterError, match="discrete=True"):
             model.plant()
         assert model.plant(discrete=True).dt == 0.1
-    assert LatentModel([[-10.0]], dt=0.1).poles()[0].real == -np.inf  # a dead beat: log 0
-    pair = LatentModel((np.array([[-0.5, 0.4], [-0.4, -0.5]]) - np.eye(2)) / 0.1, dt=0.1)
+    assert LatentModel(A=[[-10.0]], dt=0.1).poles()[0].real == -np.inf  # a dead beat: log 0
+    pair = LatentModel(A=(np.array([[-0.5, 0.4], [-0.4, -0.5]]) - np.eye(2)) / 0.1, dt=0.1)
     assert pair.plant().dt == 0
 
 
@@ -241,11 +247,11 @@ def test_plant_is_a_named_state_space(model):
     with pytest.raises(DimensionError, match="6 columns"):
         model.plant(output=np.eye(5))
     with pytest.raises(ParameterError, match="no step"):
-        LatentModel(-np.eye(2)).plant(discrete=True)
+        LatentModel(A=-np.eye(2)).plant(discrete=True)
 
 
 def test_plant_of_a_model_without_inputs():
-    plant = LatentModel(-np.eye(2)).plant()
+    plant = LatentModel(A=-np.eye(2)).plant()
     assert plant.ninputs == 0
     assert plant.nstates == 2
 
@@ -279,7 +285,7 @@ def test_save_and_load_give_the_same_model_bit_for_bit(model, tmp_path):
     assert str(back.card) == str(model.card)
     assert dict(back.notes) == dict(model.notes)
     assert back.save(tmp_path / "again").name == "again.npz"
-    bare = LatentModel(-np.eye(2), B=np.eye(2))
+    bare = LatentModel(A=-np.eye(2), B=np.eye(2))
     same(bare, LatentModel.load(bare.save(tmp_path / "bare.npz")))
 
 

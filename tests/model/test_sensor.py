@@ -103,7 +103,7 @@ def test_one_run_is_enough():
 
 
 def test_direction_of_zero_stays_zero():
-    sensor = StiffnessSensor(np.array([[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]))
+    sensor = StiffnessSensor(K_d=np.array([[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]))
     assert np.array_equal(sensor.direction(np.array([0.0])), np.zeros(3))
     assert np.array_equal(sensor.direction(np.array([[-2.0], [0.0]])), [[-1, 0, 0], [0, 0, 0]])
 
@@ -127,7 +127,7 @@ def test_angle_error():
 )
 def test_sensor_refuses(K_d, error):
     with pytest.raises(error):
-        StiffnessSensor(K_d)
+        StiffnessSensor(K_d=K_d)
 
 
 def test_fit_refuses():

@@ -46,9 +46,9 @@ def run(centres, u=None, radius=5.0):
         moved[:, :, :2] += centres[:, k, None]
         parts.append(moved.reshape(len(T), -1))
     if u is not None:
-        blocks.append(Block("matrix.displacement", u.shape[1:], "um", "field"))
+        blocks.append(Block("matrix.displacement", u.shape[1:], "um", role="field"))
         parts.append(u.reshape(len(T), -1))
-    return Trajectory(T, np.concatenate(parts, axis=1), Layout(blocks))
+    return Trajectory(t=T, x=np.concatenate(parts, axis=1), states=Layout(blocks))
 
 
 def approaching(speed, start=30.0):
@@ -83,7 +83,7 @@ def flat_run(*cells, geometry=None):
     """One sample of cells with nodes (n, 3) each."""
     blocks = [Block(f"cell{k + 1}.position", x.shape, "um") for k, x in enumerate(cells)]
     x = np.concatenate([np.ravel(c) for c in cells])[None]
-    return Trajectory(np.zeros(1), x, Layout(blocks), geometry=geometry or {})
+    return Trajectory(t=np.zeros(1), x=x, states=Layout(blocks), geometry=geometry or {})
 
 
 def slanted(centre, n=189):
@@ -127,7 +127,7 @@ def test_which_triangles_a_membrane_has():
     # of a run that starts as spheres they are those of the start
     states = Layout([Block(f"cell{k}.position", dented.shape, "um") for k in (1, 2)])
     x = np.array([np.ravel([start.position, pair[1]]), np.ravel(pair)])
-    found = edge_gap(Trajectory(np.arange(2.0), x, states))
+    found = edge_gap(Trajectory(t=np.arange(2.0), x=x, states=states))
     assert found[1] == edge_gap(flat_run(*pair, geometry=given))[0]
     # built systems say them, and two cells of any run keep theirs
     system = cs.build(facing())
@@ -135,7 +135,7 @@ def test_which_triangles_a_membrane_has():
     np.testing.assert_array_equal(system.geometry()["cell2.triangles"], triangles)
     given["cell3.triangles"] = start.triangles
     three = flat_run(start.position - [20.0, 0, 0], *pair, geometry=given)
-    blocks = [*three.states, Block("matrix.displacement", (1, 3), "um", "field")]
+    blocks = [*three.states, Block("matrix.displacement", (1, 3), "um", role="field")]
     three = dataclasses.replace(three, x=np.append(three.x, np.zeros((1, 3)), axis=1),
                                 states=Layout(blocks))  # fmt: skip
     assert edge_gap(pair_of(three, 1, 2))[0] == edge_gap(three, "cell2", "cell3")[0] == found[1]

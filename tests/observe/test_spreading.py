@@ -27,9 +27,14 @@ from tests.study.scenes import tiny
 
 def run_of(x, u=None, t=None):
     """A trajectory of one cell (T, n, 3) over a matrix displaced by u (T, N, 3)."""
-    blocks, parts = [Block("cell1.position", x.shape[1:], "um", "component", "position")], [x]
+    blocks, parts = (
+        [Block("cell1.position", x.shape[1:], "um", role="component", kind="position")],
+        [x],
+    )
     if u is not None:
-        blocks.append(Block("matrix.displacement", u.shape[1:], "um", "field", "position"))
+        blocks.append(
+            Block("matrix.displacement", u.shape[1:], "um", role="field", kind="position")
+        )
         parts.append(u)
     flat = np.concatenate([p.reshape(len(x), -1) for p in parts], axis=1)
     return Trajectory(t=np.arange(len(x)) * 2.0 if t is None else t, x=flat, states=Layout(blocks))
@@ -127,7 +132,7 @@ def test_turns_count_in_full():
     shape = np.random.default_rng(0).normal(size=(40, 5, 3))
     blocks = [Block(f"cell{k}.position", (5, 3), "um") for k in (1, 2)]
     x = np.concatenate([shape, shape], axis=1).reshape(40, -1)
-    run = Trajectory(np.arange(40.0), x, Layout(blocks), p=p)
+    run = Trajectory(t=np.arange(40.0), x=x, states=Layout(blocks), p=p)
     assert read_outs(run)["heading_change_deg"] == pytest.approx(325.0)
     # off one another: whole turns are no difference, and it is at most half a turn
     turned = np.exp(1j * np.radians([[30.0, -359.0, 179.0, 721.0], [0.0, 0.0, -179.0, 0.0]]))

@@ -31,9 +31,9 @@ def model(m=6, seed=0, gap=None, A=None, steered=False, centred=False, slowest=0
     if steered:
         K_d = rng.standard_normal((3, 1 + m))
         K_d[2] = 0.0
-        sensor = StiffnessSensor(K_d)
+        sensor = StiffnessSensor(K_d=K_d)
     return LatentModel(
-        A,
+        A=A,
         B=0.05 * rng.standard_normal((m, len(names))),
         offset=0.02 * rng.standard_normal(m),
         V=V,

@@ -61,7 +61,7 @@ PLACES = np.array([[-4.0, 0.0], [4.0, 2.0]])
 
 def every_kind():
     """Coupled cells of every kind that `couple` makes of small cells."""
-    ports = LoadPorts(Springs(grid()), PLACES, port=PatchPort(radius=9.0))
+    ports = LoadPorts(field=Springs(grid()), positions=PLACES, port=PatchPort(radius=9.0))
     return {
         "superposed": couple(model(), 3),
         "fed back": couple(model(), 3, Feedback()),
@@ -85,8 +85,10 @@ def test_coupled_cells_meet_the_contract(kind):
 def test_a_field_of_ones_own_takes_cells():
     """K = k I: with no gain at the port the matrix relaxes at k / drag, whatever the cells do."""
     field = Springs(grid())
-    silent = CellPort(port().A, np.eye(2), offset=np.ones(2))
-    cells = couple(silent, coupling=LoadPorts(field, PLACES, port=PatchPort(radius=9.0)))
+    silent = CellPort(A=port().A, F=np.eye(2), offset=np.ones(2))
+    cells = couple(
+        silent, coupling=LoadPorts(field=field, positions=PLACES, port=PatchPort(radius=9.0))
+    )
     rates = np.sort(cells.poles().real)[: field.order]
     np.testing.assert_allclose(rates, -field.k / field.drag, rtol=1e-12)
     run = cells.simulate([0.0, 1e4])
@@ -101,7 +103,7 @@ def test_a_field_that_lacks_something_is_refused_by_what_it_lacks():
         order, drag, nodes, surface = 3, 1.0, grid(), np.arange(16)
 
     with pytest.raises(cs.ParameterError, match="stiffness"):
-        LoadPorts(Bare(), PLACES)
+        LoadPorts(field=Bare(), positions=PLACES)
 
 
 def test_a_coupling_of_ones_own_joins():

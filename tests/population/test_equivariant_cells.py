@@ -38,7 +38,7 @@ def system():
 
 @pytest.fixture(scope="module")
 def field(system):
-    return GalerkinField(system, order=40, linear=True, places=20)
+    return GalerkinField(system=system, order=40, linear=True, places=20)
 
 
 def model(gamma=0.02, seed=0, norm=0.98, sensor=True, field=None, vertices=2):
@@ -57,26 +57,28 @@ def model(gamma=0.02, seed=0, norm=0.98, sensor=True, field=None, vertices=2):
         0.02 * rng.standard_normal((vertices, INPUTS)),
         np.zeros(PORT.n_hats),
     )
-    dynamics = CellDynamics(tuple(blocks), Clock(250.0, vertices), 10.0, zero, zero)
+    dynamics = CellDynamics(
+        blocks=tuple(blocks), clock=Clock(250.0, vertices), dt=10.0, alone=zero, riding=zero
+    )
     m = STATES + 2
     K_d = rng.standard_normal((3, 1 + m))
     K_d[2] = 0.0
     return EquivariantModel(
-        dynamics,
-        CellRepresentation(ShapeBasis(np.eye(3), 4.0, 0), PORT, 0.0, 1.0),
-        ChargeModes({}, {}, {}),
-        PortSites(np.arange(1), np.zeros((1, 2)), np.ones(1))
+        dynamics=dynamics,
+        representation=CellRepresentation(ShapeBasis(np.eye(3), 4.0, 0), PORT, 0.0, 1.0),
+        modes=ChargeModes({}, {}, {}),
+        sites=PortSites(np.arange(1), np.zeros((1, 2)), np.ones(1))
         if field is None
         else PortSites.of(field.nodes, field.surface),
-        Layout([]),
-        Layout([]),
+        states=Layout([]),
+        auxiliaries=Layout([]),
         z_start=np.zeros(m),
-        sensor=StiffnessSensor(K_d) if sensor else None,
+        sensor=StiffnessSensor(K_d=K_d) if sensor else None,
     )
 
 
 def cells(m, field, places, headings=None, **more):
-    return couple(m, coupling=LoadPorts(field, places, headings), **more)
+    return couple(m, coupling=LoadPorts(field=field, positions=places, headings=headings), **more)
 
 
 PAIR = np.array([[-6.0, 0.0], [6.0, 1.0]])
@@ -155,7 +157,7 @@ def test_one_cell_is_the_single_closed_cell(field):
     t = np.arange(0.0, 101.0, 10.0)
     angle = np.linspace(0, 1, 10)[:, None]
     run = cells(m, field, PAIR[:1]).simulate(t, heading=angle)
-    single = CellsOnField(m, field).simulate(np.ones((10, 1)), angle, PAIR[:1])
+    single = CellsOnField(model=m, field=field).simulate(np.ones((10, 1)), angle, PAIR[:1])
     assert np.abs(run.block("z") - single.block("z")).max() < 1e-12
     assert np.abs(run.block("field.modes") - single.block("field.modes")).max() < 1e-12
 
@@ -176,14 +178,14 @@ def test_exchanging_two_cells_changes_nothing(field):
 
 def test_storage_does_not_grow_without_commands(system):
     """Nonlinear field, strong port, moving and overlapping cells: sum of storages falls."""
-    field = GalerkinField(system, order=40, places=20)
+    field = GalerkinField(system=system, order=40, places=20)
     m = model(0.05, field=field)
     for block in m.dynamics.blocks:
         block.B[:] = 0.0
     places = np.random.default_rng(0).uniform(-5, 5, (4, 2))
     rng = np.random.default_rng(1)
     z0 = np.column_stack([5 * rng.standard_normal((4, STATES)), places])
-    whole = CellsOnField(m, field, tolerance=1e-10)
+    whole = CellsOnField(model=m, field=field, tolerance=1e-10)
     state, stored = whole.start(places, z0), []
     for k in range(8):
         stored.append(whole.storage(state))
@@ -225,11 +227,11 @@ def test_refusals(field):
     with pytest.raises(DimensionError, match="heading"):
         found.simulate([0.0, 20.0], heading=np.zeros((1, 2)))
     with pytest.raises(ParameterError, match="own port"):
-        couple(m, coupling=LoadPorts(field, PAIR, port=cs.PatchPort()))
+        couple(m, coupling=LoadPorts(field=field, positions=PAIR, port=cs.PatchPort()))
     with pytest.raises(ParameterError, match="needs a sensor"):
         cells(model(sensor=False), field, PAIR, controller=PolarityLaw())
     with pytest.raises(DimensionError, match="differ"):
-        couple(m, 3, LoadPorts(field, PAIR))
+        couple(m, 3, LoadPorts(field=field, positions=PAIR))
     assert "equivariant cells" in str(found)
 
 
@@ -237,7 +239,7 @@ def test_refusals(field):
 def test_the_estimate_covers_the_error_of_stepping(linear):
     """Against the same cells and field with sixteen steps for one."""
     coarse, fine = refined(), refined(16)
-    small = GalerkinField(cs.build(scene()), order=40, linear=linear, places=20)
+    small = GalerkinField(system=cs.build(scene()), order=40, linear=linear, places=20)
     law, sensed = PolarityLaw(1 / 30), reading(coarse, 0.2)
     heads, t = np.array([2.0, -1.0]), 10.0 * np.arange(31)
 

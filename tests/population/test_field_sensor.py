@@ -24,7 +24,7 @@ def system():
 
 @pytest.fixture(scope="module")
 def field(system):
-    return cs.GalerkinField(system, order=60, places=20)
+    return cs.GalerkinField(system=system, order=60, places=20)
 
 
 @pytest.mark.parametrize("measure", ["stiffness", "stress"])
@@ -50,7 +50,7 @@ def test_a_load_beside_a_cell_turns_it_and_its_own_state_does_not(field):
     """The same cells, the field strained by something else: only the field's sensor can know."""
     m = model(0.0, field=field)
     law = cs.PolarityLaw(kappa=1 / 60)
-    ports = LoadPorts(field, PAIR[:1])
+    ports = LoadPorts(field=field, positions=PAIR[:1])
     f = np.zeros((len(field.nodes), 3))
     near = np.linalg.norm(field.nodes[:, :2] - (2.0, 6.0), axis=1) < 4.0
     f[near, 1] = 400.0  # pN: pulled away, the fibres between stretch, those behind buckle
@@ -74,7 +74,7 @@ def test_cells_far_apart_sense_alone_and_near_ones_do_not(field):
     law, t = cs.PolarityLaw(kappa=1 / 60), 10.0 * np.arange(6)
 
     def sensed(places, sensor):
-        ports = LoadPorts(field, places)
+        ports = LoadPorts(field=field, positions=places)
         return couple(m, coupling=ports, controller=law, sensor=sensor).simulate(t).d[-1, 0]
 
     near = np.array([[-5.0, 0.0], [5.0, 0.0]])
@@ -85,8 +85,12 @@ def test_cells_far_apart_sense_alone_and_near_ones_do_not(field):
 
 def test_cells_outside_the_trained_range_are_named():
     m = trained()
-    field = cs.GalerkinField(cs.build(scene()), order=40, places=20)
-    cells = couple(m, coupling=LoadPorts(field, [[-4.0, 0.0], [5.0, 1.0]]), sensor=FieldSensor())
+    field = cs.GalerkinField(system=cs.build(scene()), order=40, places=20)
+    cells = couple(
+        m,
+        coupling=LoadPorts(field=field, positions=[[-4.0, 0.0], [5.0, 1.0]]),
+        sensor=FieldSensor(),
+    )
     usual, much = float(np.mean(m.monitor.amplitude)), 3 * m.monitor.amplitude[1]
     run = cells.simulate(10.0 * np.arange(4), amplitude=np.array([usual, much]))
     wrong = [e.detail for e in run.events if "amplitude" in e.detail]
@@ -113,15 +117,15 @@ def test_cells_on_another_matrix_read_its_network(system, field):
     m, rest = model(0.0, field=field), system.geometry()
     K_s, elsewhere = np.vstack([np.eye(2), np.zeros(2)]), np.array([[5.0, 0.0], [9.0, 4.0]])
     own = LocalSensor(
-        np.zeros((3, 1 + m.order)), K_s=K_s, map=StiffnessMap(elsewhere, np.ones(2), 9.0)
+        K_d=np.zeros((3, 1 + m.order)), K_s=K_s, map=StiffnessMap(elsewhere, np.ones(2), 9.0)
     )
-    cells = couple(m, coupling=LoadPorts(field, PAIR), sensor=own)
+    cells = couple(m, coupling=LoadPorts(field=field, positions=PAIR), sensor=own)
     assert np.array_equal(cells.sensor.map.nodes, rest["matrix.rest"][:, :2])
     np.testing.assert_allclose(cells.sensor.map.stiffness, rest["matrix.stiffness"], rtol=1e-14)
     assert cells.sensor.map.reach == 9.0
     assert not np.allclose(cells.sensor.map.at(PAIR), own.map.at(PAIR))
-    blind = LocalSensor(np.zeros((3, 1 + m.order)), map=own.map)
-    assert couple(m, coupling=LoadPorts(field, PAIR), sensor=blind).sensor is blind
+    blind = LocalSensor(K_d=np.zeros((3, 1 + m.order)), map=own.map)
+    assert couple(m, coupling=LoadPorts(field=field, positions=PAIR), sensor=blind).sensor is blind
     bare = SimpleNamespace(nodes=field.nodes)
     with pytest.raises(ParameterError, match="network of 2 nodes"):
         standing_on(bare, own)

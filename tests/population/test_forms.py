@@ -182,7 +182,7 @@ def test_more_directions_than_cell_rows():
     rng = np.random.default_rng(0)
     V = sla.qr(rng.standard_normal((20, 8)), mode="economic")[0]
     m = LatentModel(
-        -np.eye(8) + 0.1 * rng.standard_normal((8, 8)), V=V, blocks={"field": range(5, 20)}
+        A=-np.eye(8) + 0.1 * rng.standard_normal((8, 8)), V=V, blocks={"field": range(5, 20)}
     )
     cells = couple(m, 4)
     assert cells.rank.purely_field == 3
@@ -245,7 +245,7 @@ def test_stability_says_when_the_data_do_not_decide():
     # A non-normal: stable itself, its compression is not
     A = np.array([[0.1, -1.0], [1.0, -0.5]]) * 0.1
     V = np.array([[1.0, 0.0], [0.0, 1e-6], [0.0, np.sqrt(1 - 1e-12)]])
-    m = LatentModel(A, V=V, blocks={"field": [2]})
+    m = LatentModel(A=A, V=V, blocks={"field": [2]})
     assert sla.eigvals(A).real.max() < 0
     report = couple(m, 3).stability()
     assert report.verdict == "not decided"
@@ -323,9 +323,9 @@ def test_refusals_name_the_route_that_works():
             call()
     for form in (Superposition(), Feedback(), MappedSuperposition(P_map=np.eye(20))):
         with pytest.raises(RepresentationError, match=f"{form.name} needs the rows of V"):
-            couple(LatentModel(-np.eye(20)), 3, form)
+            couple(LatentModel(A=-np.eye(20)), 3, form)
     with pytest.raises(RepresentationError, match="blocks="):
-        couple(LatentModel(-np.eye(3), V=np.eye(3)), 3)
+        couple(LatentModel(A=-np.eye(3), V=np.eye(3)), 3)
     for wrong in (0, -1, 2.5, True):
         with pytest.raises(ParameterError, match="n_cells"):
             couple(m, wrong)

@@ -41,7 +41,9 @@ OWN_STEP = "steps by itself every 10 s and takes no integrator"
 
 
 def ports(dt):
-    place = LoadPorts(Springs(grid()), PLACES, [0.0, 2.0], port=PatchPort(radius=9.0))
+    place = LoadPorts(
+        field=Springs(grid()), positions=PLACES, headings=[0.0, 2.0], port=PatchPort(radius=9.0)
+    )
     return couple(cell(m=3, dt=dt, steered=True), coupling=place, controller=cs.PolarityLaw())
 
 
@@ -61,7 +63,7 @@ def kinds():
         "on a field": (ports(None), no_drag),
         "on a field, by steps": (ports(10.0), own),
         "equivariant": (
-            couple(equivariant(), coupling=LoadPorts(disc(), PLACES)),
+            couple(equivariant(), coupling=LoadPorts(field=disc(), positions=PLACES)),
             own,
         ),
         "one loop": (cs.closed_loop(one), no_drag),
@@ -72,7 +74,7 @@ def kinds():
 @functools.cache
 def disc():
     system = cs.build(cs.Scene.parse(tomllib.loads(TINY)))
-    return cs.GalerkinField(system, order=8, linear=True, places=8)
+    return cs.GalerkinField(system=system, order=8, linear=True, places=8)
 
 
 @functools.cache

@@ -58,7 +58,7 @@ def cell(m=5, seed=0, gamma=0.3, dt=None, margin=0.02, steered=False):
         return made
     K_d = rng.standard_normal((3, 1 + m))
     K_d[2] = 0.0
-    return dataclasses.replace(made, input_names=HEADINGS, sensor=StiffnessSensor(K_d))
+    return dataclasses.replace(made, input_names=HEADINGS, sensor=StiffnessSensor(K_d=K_d))
 
 
 def places(K, seed=0, radius=14.0):
@@ -118,7 +118,10 @@ def test_whole_is_stable_for_many_placements(dt):
     for seed in range(5):
         for K in (1, 3, 20):
             x, theta = places(K, seed)
-            cells = couple(cell(seed=seed, dt=dt), coupling=LoadPorts(matrix, x, theta, PORT))
+            cells = couple(
+                cell(seed=seed, dt=dt),
+                coupling=LoadPorts(field=matrix, positions=x, headings=theta, port=PORT),
+            )
             assert cells.poles().real.max() < 0
     report = cells.stability()
     assert report.verdict == "stable for every K and every placement"
@@ -130,7 +133,9 @@ def test_whole_is_stable_for_many_placements(dt):
 @pytest.mark.parametrize("dt", [None, 10.0])
 def test_certificate_needs_no_matrix(dt):
     x, theta = places(900, 3)
-    cells = couple(cell(dt=dt), coupling=LoadPorts(field(), x, theta, PORT))
+    cells = couple(
+        cell(dt=dt), coupling=LoadPorts(field=field(), positions=x, headings=theta, port=PORT)
+    )
     assert cells.stability().verdict == "stable for every K and every placement"
     assert cells.route.startswith("certificate only")
     with pytest.raises(MemoryBudgetError, match="certifies any number"):
@@ -146,10 +151,17 @@ def test_freely_fitted_input_is_refused_and_unstable_from_some_number_of_cells()
         x, theta = places(K, 1, radius=6.0)
         theta[:] = 0.0
         with pytest.raises(ParameterError, match="passivity index"):
-            couple(free, coupling=LoadPorts(matrix, x, theta, PORT))
-        cells = couple(free, coupling=LoadPorts(matrix, x, theta, PORT, allow_active=True))
+            couple(free, coupling=LoadPorts(field=matrix, positions=x, headings=theta, port=PORT))
+        cells = couple(
+            free,
+            coupling=LoadPorts(
+                field=matrix, positions=x, headings=theta, port=PORT, allow_active=True
+            ),
+        )
         top.append(cells.poles().real.max())
-        again = couple(good, coupling=LoadPorts(matrix, x, theta, PORT))
+        again = couple(
+            good, coupling=LoadPorts(field=matrix, positions=x, headings=theta, port=PORT)
+        )
         assert again.poles().real.max() < 0
     assert top[0] < 0 < top[-1]
     report = cells.stability()
@@ -162,14 +174,14 @@ def test_freely_fitted_input_is_refused_and_unstable_from_some_number_of_cells()
 def test_one_cell_is_the_single_closed_cell():
     c, matrix = cell(), field()
     x, theta = np.array([[1.0, -2.0]]), np.array([0.7])
-    cells = couple(c, coupling=LoadPorts(matrix, x, theta, PORT))
+    cells = couple(c, coupling=LoadPorts(field=matrix, positions=x, headings=theta, port=PORT))
     E = PORT.gather(matrix, x[0], 0.7)
     G, D = -matrix.stiffness / matrix.drag, E.T / matrix.drag
     single = np.block([[c.A + c.C @ E @ D @ c.F, c.C @ E @ G], [D @ c.F, G]])
     assert np.abs(cells.matrix() - single).max() < 1e-12
     # and a step of dt against solving the exchange as it stands
     s = cell(dt=10.0)
-    cells = couple(s, coupling=LoadPorts(matrix, x, theta, PORT))
+    cells = couple(s, coupling=LoadPorts(field=matrix, positions=x, headings=theta, port=PORT))
     z, q = np.random.default_rng(0).standard_normal(5), np.zeros(matrix.order)
     run = cells.simulate(np.array([0.0, 10.0]), z0=z)
     end, q_end = run.block("z")[-1, 0], run.block("q")[-1]
@@ -188,10 +200,12 @@ def test_exchanging_two_cells_changes_nothing(dt):
     z0 = np.random.default_rng(1).standard_normal((4, 5))
     swap = [1, 0, 2, 3]
     method = None if dt else Exponential(rtol=1e-9, atol=1e-9)
-    a = couple(c, coupling=LoadPorts(matrix, x, theta, PORT)).simulate(t, method, z0=z0)
-    b = couple(c, coupling=LoadPorts(matrix, x[swap], theta[swap], PORT)).simulate(
-        t, method, z0=z0[swap]
-    )
+    a = couple(
+        c, coupling=LoadPorts(field=matrix, positions=x, headings=theta, port=PORT)
+    ).simulate(t, method, z0=z0)
+    b = couple(
+        c, coupling=LoadPorts(field=matrix, positions=x[swap], headings=theta[swap], port=PORT)
+    ).simulate(t, method, z0=z0[swap])
     # another order of sums and of one linear solve
     assert np.abs(a.block("z")[:, swap] - b.block("z")).max() < 1e-9
     assert np.abs(a.block("q") - b.block("q")).max() < 1e-9
@@ -204,10 +218,16 @@ def test_far_apart_equals_isolated():
     t = np.linspace(0, 60, 4)
     z0 = np.random.default_rng(1).standard_normal((2, 5))
     port = PatchPort(radius=5.0)
-    pair = couple(c, coupling=LoadPorts(matrix, x, None, port)).simulate(t, z0=z0)
-    near = couple(c, coupling=LoadPorts(matrix, 0.07 * x, None, port)).simulate(t, z0=z0)
+    pair = couple(
+        c, coupling=LoadPorts(field=matrix, positions=x, headings=None, port=port)
+    ).simulate(t, z0=z0)
+    near = couple(
+        c, coupling=LoadPorts(field=matrix, positions=0.07 * x, headings=None, port=port)
+    ).simulate(t, z0=z0)
     for k in range(2):
-        alone = couple(c, coupling=LoadPorts(matrix, x[k : k + 1], None, port))
+        alone = couple(
+            c, coupling=LoadPorts(field=matrix, positions=x[k : k + 1], headings=None, port=port)
+        )
         alone = alone.simulate(t, z0=z0[k]).block("z")[:, 0]
         size = np.abs(alone).max()
         # 54 um are 9 spacings, each of which divides the displacement by about 4
@@ -221,21 +241,35 @@ def test_superposed_loads_are_exact_and_superposed_cells_are_not():
     x, theta = places(3, 4)
     t = np.linspace(0, 60, 5)
     z0 = np.random.default_rng(1).standard_normal((3, 5))
-    together = couple(c, coupling=LoadPorts(matrix, x, theta, PORT)).simulate(t, z0=z0)
-    assert couple(c, coupling=LoadPorts(matrix, x, theta, PORT)).route.startswith("cascade")
+    together = couple(
+        c, coupling=LoadPorts(field=matrix, positions=x, headings=theta, port=PORT)
+    ).simulate(t, z0=z0)
+    assert couple(
+        c, coupling=LoadPorts(field=matrix, positions=x, headings=theta, port=PORT)
+    ).route.startswith("cascade")
     alone = [
-        couple(c, coupling=LoadPorts(matrix, x[k : k + 1], theta[k : k + 1], PORT)).simulate(
-            t, z0=z0[k]
-        )
+        couple(
+            c,
+            coupling=LoadPorts(
+                field=matrix, positions=x[k : k + 1], headings=theta[k : k + 1], port=PORT
+            ),
+        ).simulate(t, z0=z0[k])
         for k in range(3)
     ]
     total = sum(a.block("q") for a in alone)
     assert np.abs(total - together.block("q")).max() < 1e-11 * np.abs(total).max()
     # with a strong port the neighbours change the loads: isolated runs no longer add up
     c = cell(gamma=20.0)
-    together = couple(c, coupling=LoadPorts(matrix, x, theta, PORT)).simulate(t, z0=z0)
+    together = couple(
+        c, coupling=LoadPorts(field=matrix, positions=x, headings=theta, port=PORT)
+    ).simulate(t, z0=z0)
     total = sum(
-        couple(c, coupling=LoadPorts(matrix, x[k : k + 1], theta[k : k + 1], PORT))
+        couple(
+            c,
+            coupling=LoadPorts(
+                field=matrix, positions=x[k : k + 1], headings=theta[k : k + 1], port=PORT
+            ),
+        )
         .simulate(t, z0=z0[k])
         .block("q")
         for k in range(3)
@@ -247,12 +281,16 @@ def test_superposed_loads_are_exact_and_superposed_cells_are_not():
 @pytest.mark.parametrize("dt", [None, 10.0])
 def test_a_hundred_steered_cells_stay_bounded(dt):
     x, theta = places(100, 5)
-    cells = couple(cell(m=3, dt=dt, steered=True), coupling=LoadPorts(field(), x, theta, PORT))
+    cells = couple(
+        cell(m=3, dt=dt, steered=True),
+        coupling=LoadPorts(field=field(), positions=x, headings=theta, port=PORT),
+    )
     t = np.linspace(0, 240, 5)
     method = None if dt else Exponential(rtol=1e-3, atol=1e-3)
     run = cells.simulate(t, method, z0=np.ones(3))
     alone = couple(
-        cell(m=3, dt=dt, steered=True), coupling=LoadPorts(field(), x[:1], theta[:1], PORT)
+        cell(m=3, dt=dt, steered=True),
+        coupling=LoadPorts(field=field(), positions=x[:1], headings=theta[:1], port=PORT),
     ).simulate(t, method, z0=np.ones(3))
     assert np.abs(run.block("z")).max() < 5 * np.abs(alone.block("z")).max()
     assert np.abs(np.linalg.norm(run.p, axis=2) - 1).max() < 1e-12
@@ -261,12 +299,17 @@ def test_a_hundred_steered_cells_stay_bounded(dt):
 def test_plant_and_poles_agree():
     x, theta = places(3, 0, radius=6.0)
     for c in (cell(), cell(gamma=0.0)):
-        cells = couple(c, coupling=LoadPorts(field(side=3), x, theta, PORT))
+        cells = couple(
+            c, coupling=LoadPorts(field=field(side=3), positions=x, headings=theta, port=PORT)
+        )
         plant = cells.plant()
         assert plant.dt == 0
         assert plant.ninputs == 3
         assert match(poles(plant), cells.poles()) < 1e-9
-    step = couple(cell(dt=10.0), coupling=LoadPorts(field(side=3), x, theta, PORT))
+    step = couple(
+        cell(dt=10.0),
+        coupling=LoadPorts(field=field(side=3), positions=x, headings=theta, port=PORT),
+    )
     assert step.plant().dt == 10.0
     continuous = np.log(np.asarray(poles(step.plant()))) / 10.0
     assert match(continuous, step.poles()) < 1e-9
@@ -276,23 +319,36 @@ def test_plant_and_poles_agree():
 def test_refusals():
     matrix, (x, theta) = field(side=3), places(2, radius=6.0)
     with pytest.raises(DimensionError, match="differ"):
-        couple(cell(), 3, LoadPorts(matrix, x, theta, PORT))
+        couple(cell(), 3, LoadPorts(field=matrix, positions=x, headings=theta, port=PORT))
     with pytest.raises(ParameterError, match="leave positions out"):
-        couple(cell(), coupling=LoadPorts(matrix, x, theta, PORT), positions=x)
+        couple(
+            cell(),
+            coupling=LoadPorts(field=matrix, positions=x, headings=theta, port=PORT),
+            positions=x,
+        )
     with pytest.raises(RepresentationError, match="load port"):
-        couple(model(), coupling=LoadPorts(matrix, x, theta, PORT))
+        couple(model(), coupling=LoadPorts(field=matrix, positions=x, headings=theta, port=PORT))
     with pytest.raises(ParameterError, match="no matrix node"):
-        couple(cell(), coupling=LoadPorts(matrix, x + 500.0, theta, PORT)).poles()
+        couple(
+            cell(), coupling=LoadPorts(field=matrix, positions=x + 500.0, headings=theta, port=PORT)
+        ).poles()
     with pytest.raises(ParameterError, match="field must be a matrix field"):
-        LoadPorts(3.0, x)
+        LoadPorts(field=3.0, positions=x)
     with pytest.raises(DimensionError, match="loads"):
-        couple(cell(), coupling=LoadPorts(matrix, x, theta, PatchPort(components=3)))
+        couple(
+            cell(),
+            coupling=LoadPorts(
+                field=matrix, positions=x, headings=theta, port=PatchPort(components=3)
+            ),
+        )
     with pytest.raises(ParameterError, match="grid"):
-        couple(cell(dt=10.0), coupling=LoadPorts(matrix, x, theta, PORT)).simulate([0.0, 5.0])
+        couple(
+            cell(dt=10.0), coupling=LoadPorts(field=matrix, positions=x, headings=theta, port=PORT)
+        ).simulate([0.0, 5.0])
     with pytest.raises(ParameterError, match="positive definite"):
-        CellPort(-np.eye(2), np.eye(2), metric=-np.eye(2))
+        CellPort(A=-np.eye(2), F=np.eye(2), metric=-np.eye(2))
     softer = LinearField(matrix.nodes, matrix.stiffness - np.eye(27), 5.0)
-    cells = couple(cell(), coupling=LoadPorts(softer, x, theta, PORT))
+    cells = couple(cell(), coupling=LoadPorts(field=softer, positions=x, headings=theta, port=PORT))
     assert not cells.certificate.holds
     assert cells.stability().verdict == "unstable"
 
@@ -316,7 +372,11 @@ def test_the_estimate_covers_the_error_of_steps():
     """Against the same whole with sixteen steps for one: its power 1/16, the same held answer."""
     x, theta = places(3, 5)
     plant, law = cell(m=3, dt=2.0, steered=True), PolarityLaw(1 / 60)
-    cells = couple(plant, coupling=LoadPorts(field(), x, theta, PORT), controller=law)
+    cells = couple(
+        plant,
+        coupling=LoadPorts(field=field(), positions=x, headings=theta, port=PORT),
+        controller=law,
+    )
     t = 2.0 * np.arange(101)
     run = cells.simulate(t, z0=np.ones(3))
     flow, parts = PortFlow(cells), 16
@@ -329,7 +389,11 @@ def test_the_estimate_covers_the_error_of_steps():
     class Fine(PortedSteps):
         dt = 2.0 / parts
 
-    fine = simulate(Fine(cells, flow, loop, initial(cells, loop, np.ones(3), None, None)), None, t)
+    fine = simulate(
+        Fine(cells=cells, flow=flow, loop=loop, x0=initial(cells, loop, np.ones(3), None, None)),
+        None,
+        t,
+    )
     error = np.abs(run.x - fine.x).max(axis=0)
     for block in run.states:
         part = run.states.slice(block.name)
@@ -341,7 +405,10 @@ def test_the_estimate_covers_the_error_of_steps():
 @pytest.mark.parametrize("steered", [True, False])
 def test_the_estimate_covers_the_error_of_the_integrator(steered):
     x, theta = places(3, 5)
-    cells = couple(cell(m=3, steered=steered), coupling=LoadPorts(field(), x, theta, PORT))
+    cells = couple(
+        cell(m=3, steered=steered),
+        coupling=LoadPorts(field=field(), positions=x, headings=theta, port=PORT),
+    )
     t = np.linspace(0, 240, 7)
     methods = [Exponential(rtol=r, atol=r) for r in (1e-4, 1e-11)]
     run, exact = (cells.simulate(t, method, z0=np.ones(3)) for method in methods)

@@ -23,12 +23,12 @@ def with_forces(m=6, nodes=4, seed=0):
     field = np.r_[np.arange(n_c, n), np.arange(n + n_c, 2 * n)]
     states = Layout(
         [
-            Block("cell1.position", (nodes, 3), "um", "component", "position"),
-            Block("matrix.displacement", (5, 3), "um", "field", "position"),
+            Block("cell1.position", (nodes, 3), "um", role="component", kind="position"),
+            Block("matrix.displacement", (5, 3), "um", role="field", kind="position"),
         ]
     )
     return LatentModel(
-        -np.eye(m),
+        A=-np.eye(m),
         V=V,
         n_states=n,
         states=states,
@@ -67,19 +67,21 @@ def test_centre_map():
 
 def test_maps_refuse():
     m = with_forces()
-    bare = LatentModel(-np.eye(3))
+    bare = LatentModel(A=-np.eye(3))
     for call in (P_phi, P_F_phi, P_c):
         with pytest.raises(RepresentationError, match="LatentModel has none"):
             call(bare)
     with pytest.raises(RepresentationError, match="names none"):
-        P_phi(LatentModel(-np.eye(3), V=np.eye(3)))
+        P_phi(LatentModel(A=-np.eye(3), V=np.eye(3)))
     with pytest.raises(DimensionError, match="3 rows per membrane node"):
         P_c(m, range(4))
     with pytest.raises(ParameterError, match="node"):
         P_c(m, range(3), order="row")
     with pytest.raises(DimensionError, match="indices from 0"):
         P_phi(m, rows=[99])
-    slanted = LatentModel(-np.eye(2), V=[[1.0, 0.5], [0.0, 1.0], [0.0, 0.0]], blocks={"field": [1]})
+    slanted = LatentModel(
+        A=-np.eye(2), V=[[1.0, 0.5], [0.0, 1.0], [0.0, 0.0]], blocks={"field": [1]}
+    )
     with pytest.raises(DataError, match="not orthonormal"):
         field_split(slanted, np.array([1]), None, "Superposition")
 

@@ -72,7 +72,7 @@ def test_closed_form_over_a_million_seconds(q):
     T = sla.qr(rng.standard_normal((m_, m_)))[0]
     base = model(m=m_, gap=gap, seed=q, centred=True)
     m = LatentModel(
-        T @ A @ T.T,
+        A=T @ A @ T.T,
         offset=T @ b,
         V=base.V,
         mean=base.mean,

@@ -13,8 +13,8 @@ def layout(n, name="x", kinds=("position",)):
     half = n // 2
     return Layout(
         [
-            Block(f"cell1.{name}", (half,), "um", "component", kinds[0]),
-            Block(f"matrix.{name}", (n - half,), "um", "field", kinds[0]),
+            Block(f"cell1.{name}", (half,), "um", role="component", kind=kinds[0]),
+            Block(f"matrix.{name}", (n - half,), "um", role="field", kind=kinds[0]),
         ]
     )
 
@@ -38,23 +38,23 @@ def one_step_data(seed=0, runs=3, T=40, n=8, n_eta=6, dt=0.1, scale="block", com
             x[k + 1] = x[k] + dt * (W_x @ x[k] + W_eta @ eta[k] + u[k])
         data.append(
             RunData(
-                x,
-                eta,
-                u,
-                c if commands else None,
+                x=x,
+                eta=eta,
+                u=u,
+                commands=c if commands else None,
                 eta_start=np.tanh(M @ x[0] + shift),
                 label=f"run {i}",
             )
         )
     return Snapshots(
-        tuple(data),
-        layout(n),
-        layout(n_eta, "force", ("rate",)),
-        dt,
-        sp.csr_array(W_x),
-        sp.csr_array(W_eta),
-        ("a", "b") if commands else (),
-        scale,
+        runs=tuple(data),
+        states=layout(n),
+        auxiliaries=layout(n_eta, "force", ("rate",)),
+        dt=dt,
+        W_x=sp.csr_array(W_x),
+        W_eta=sp.csr_array(W_eta),
+        command_names=("a", "b") if commands else (),
+        scale=scale,
     )
 
 
@@ -87,14 +87,14 @@ def state_data(arrays, dt=0.1, scale="block", **more):
     """Snapshots of states alone; `more` goes to every RunData."""
     n = arrays[0].shape[1]
     return Snapshots(
-        tuple(RunData(x, label=f"run {i}", **more) for i, x in enumerate(arrays)),
-        layout(n),
-        Layout([]),
-        dt,
-        sp.csr_array((n, n)),
-        sp.csr_array((n, 0)),
-        (),
-        scale,
+        runs=tuple(RunData(x=x, label=f"run {i}", **more) for i, x in enumerate(arrays)),
+        states=layout(n),
+        auxiliaries=Layout([]),
+        dt=dt,
+        W_x=sp.csr_array((n, n)),
+        W_eta=sp.csr_array((n, 0)),
+        command_names=(),
+        scale=scale,
     )
 
 
@@ -109,14 +109,14 @@ def ar1_data(rho=0.5, N=20_000, dt=0.1, seed=0, runs=2):
         for k in range(1, N):
             eta[k] = rho * eta[k - 1] + noise[k]
         x = np.concatenate([[0.0], dt * np.cumsum(eta)])
-        data.append(RunData(x[:, None], eta[:, None]))
+        data.append(RunData(x=x[:, None], eta=eta[:, None]))
     return Snapshots(
-        tuple(data),
-        Layout([Block("cell1.position", (1,), "um", "component", "position")]),
-        Layout([Block("force", (1,), "pN", "component", "rate")]),
-        dt,
-        sp.csr_array((1, 1)),
-        sp.csr_array(np.ones((1, 1))),
+        runs=tuple(data),
+        states=Layout([Block("cell1.position", (1,), "um", role="component", kind="position")]),
+        auxiliaries=Layout([Block("force", (1,), "pN", role="component", kind="rate")]),
+        dt=dt,
+        W_x=sp.csr_array((1, 1)),
+        W_eta=sp.csr_array(np.ones((1, 1))),
     )
 
 
@@ -140,13 +140,15 @@ def spreading_data(seed=0, runs=4, T=120, n=40, n_eta=30, dt=5.0, first=0):
             eta[k] = np.tanh(M @ x[k]) + 0.2 * own.standard_normal(n_eta)
             x[k + 1] = x[k] + dt * (W_x @ x[k] + W_eta @ eta[k] + c[k] @ U)
         eta_start = np.tanh(M @ x[0])
-        data.append(RunData(x, eta, c @ U, c, eta_start=eta_start, label=f"run {i}"))
+        data.append(
+            RunData(x=x, eta=eta, u=c @ U, commands=c, eta_start=eta_start, label=f"run {i}")
+        )
     return Snapshots(
-        tuple(data),
-        layout(n),
-        layout(n_eta, "force", ("rate",)),
-        dt,
-        sp.csr_array(W_x),
-        sp.csr_array(W_eta),
-        ("cos", "sin"),
+        runs=tuple(data),
+        states=layout(n),
+        auxiliaries=layout(n_eta, "force", ("rate",)),
+        dt=dt,
+        W_x=sp.csr_array(W_x),
+        W_eta=sp.csr_array(W_eta),
+        command_names=("cos", "sin"),
     )

@@ -25,7 +25,7 @@ class Growing:
         model = LeastSquares().fit(data, order)
         A = model.A + 2.0 * np.eye(order)
         return LatentModel(
-            A, B=model.B, V=model.V, mean=model.mean, scale=model.scale, dt=model.dt,
+            A=A, B=model.B, V=model.V, mean=model.mean, scale=model.scale, dt=model.dt,
             n_states=model.n_states, input_names=model.input_names,
         )  # fmt: skip
 

@@ -19,12 +19,12 @@ def small_runs(seed=0, known=False, steps=7, runs=3, m=4, n_c=2):
     weight[0], weight[3, 1], weight[5:, 2] = 0.0, 0.0, 0.0
     half = rng.standard_normal((m, m))
     return RollOuts(
-        rng.standard_normal((steps + 1, runs, m)),
-        weight,
-        rng.standard_normal((runs, m)),
-        rng.standard_normal((steps, runs, n_c)),
-        rng.standard_normal((steps, runs, m)) if known else None,
-        half @ half.T,
+        true=rng.standard_normal((steps + 1, runs, m)),
+        weight=weight,
+        start=rng.standard_normal((runs, m)),
+        inputs=rng.standard_normal((steps, runs, n_c)),
+        known=rng.standard_normal((steps, runs, m)) if known else None,
+        metric=half @ half.T,
     )
 
 
@@ -140,7 +140,7 @@ def test_tools():
     assert np.abs(inside[:, None] - after[None]).min(axis=1).max(initial=0.0) < 1e-10
     L = contraction_metric(S, 0.95)
     assert np.linalg.norm(L @ S @ np.linalg.inv(L), 2) <= 0.95 * (1 + 1e-10)
-    assert contraction(LatentModel(np.eye(1), singular_values=[1.0], dt=1.0)).norm == 2.0
+    assert contraction(LatentModel(A=np.eye(1), singular_values=[1.0], dt=1.0)).norm == 2.0
 
 
 def test_refusals():
@@ -157,4 +157,4 @@ def test_refusals():
         with pytest.raises(ParameterError, match="Contractive"):
             Contractive(**bad)
     with pytest.raises(ParameterError, match="discrete"):
-        contraction(LatentModel([[-1.0]]))
+        contraction(LatentModel(A=[[-1.0]]))

@@ -98,7 +98,9 @@ def test_one_piece_is_the_jacobian_at_the_start_and_more_pieces_are_better():
     one = TPWL(system, points=1).fit(train, 3)
     linear = Jacobian(system).fit(train, 3)
     t = np.linspace(0.0, 1.0, 11)
-    fine = PiecewiseModel(one.frozen, one.points, one.A, one.offset, 1e-3)
+    fine = PiecewiseModel(
+        frozen=one.frozen, points=one.points, A=one.A, offset=one.offset, step=1e-3
+    )
     z0 = linear.encode(system.x0)
     exact = linear.predict(z0, None, t)
     # second order: h^2 |A|^3 with h = 1e-3, |A| about 30
@@ -116,7 +118,9 @@ def test_integration_of_the_pieces_is_of_second_order():
     model = TPWL(system, 8).fit(snapshots(runs_of(system, STARTS)), 3)
     t, ends = np.array([0.0, 0.8]), []
     for step in (0.02, 0.01, 0.005, 0.0025):
-        of = PiecewiseModel(model.frozen, model.points, model.A, model.offset, step)
+        of = PiecewiseModel(
+            frozen=model.frozen, points=model.points, A=model.A, offset=model.offset, step=step
+        )
         ends.append(of.predict(model.encode(system.x0), None, t)[-1])
     change = [np.linalg.norm(b - a) for a, b in pairwise(ends)]
     # the blend is smooth but sharp: order 2 within half an order
@@ -156,7 +160,13 @@ def test_refusals():
     with pytest.raises(DimensionError, match="'a'"):
         Jacobian(other).fit(data, 2)
     model = TPWL(system, 3).fit(data, 2)
-    grown = PiecewiseModel(model.frozen, model.points, model.A + 9 * np.eye(2), model.offset, 0.05)
+    grown = PiecewiseModel(
+        frozen=model.frozen,
+        points=model.points,
+        A=model.A + 9 * np.eye(2),
+        offset=model.offset,
+        step=0.05,
+    )
     with pytest.raises(IntegrationError, match="diverges"):
         grown.predict(np.ones(2), None, np.arange(0.0, 200.0))
     for z0, u, t, error in (

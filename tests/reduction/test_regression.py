@@ -169,9 +169,9 @@ def test_backward_pcr_also_stays_inside_runs_and_events():
 
 
 def test_logged_events_of_a_trajectory_are_skipped():
-    run = RunData(np.zeros((10, 2)), np.zeros((9, 1)), skip=(4,))
+    run = RunData(x=np.zeros((10, 2)), eta=np.zeros((9, 1)), skip=(4,))
     assert run.usable().tolist() == [0, 1, 2, 6, 7]
-    assert RunData(np.zeros((10, 2)), skip=(0,)).usable().tolist() == [2, 3, 4, 5, 6, 7, 8]
+    assert RunData(x=np.zeros((10, 2)), skip=(0,)).usable().tolist() == [2, 3, 4, 5, 6, 7, 8]
 
 
 @pytest.mark.parametrize("scale", ["none", "block", "column"])
@@ -180,7 +180,7 @@ def test_least_squares_recovers_a_linear_system_exactly(scale):
     n, dt = 6, 0.15
     A, B, b = stable_matrix(n, rng), rng.standard_normal((n, 2)), rng.standard_normal(n)
     arrays = linear_runs(A, B, b, dt, rng)
-    data = snapshots([RunData(x, commands=c) for x, c in arrays], dt=dt, scale=scale)
+    data = snapshots([RunData(x=x, commands=c) for x, c in arrays], dt=dt, scale=scale)
     model = reduce(data, order=n, method=LeastSquares())
     exact = np.sort_complex(np.linalg.eigvals(A))
     # rounding of the samples over dt, times the condition of the table (about 1e3)
@@ -345,7 +345,7 @@ def test_user_data_refusals():
 
 def test_a_coarse_model_is_rolled_out_between_its_steps():
     """Mean commands a step, linear in between; the last, shorter step has the mean of what is."""
-    model = LatentModel([[-0.1]], B=[[1.0]], dt=3.0)
+    model = LatentModel(A=[[-0.1]], B=[[1.0]], dt=3.0)
     c = np.array([[1.0], [2.0], [6.0], [-1.0], [-3.0]])
     z = predict_samples(model, np.array([2.0]), c, 1.0, 6)[:, 0]
     first = 2.0 + 3.0 * (-0.2 + 3.0)

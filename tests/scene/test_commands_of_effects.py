@@ -90,7 +90,16 @@ def test_leave_one_out_compares_the_right_runs():
     assert result["cortical_tension"].motion == pytest.approx(1.0, abs=1e-3)
     assert stages[-1][1] == pytest.approx(1.0)
     assert stages == sorted(stages, key=lambda s: s[1])
-    text = str(Worth("cortical_tension", (), 0.12, 0.1, 0.3, {"contact_radius_end_um": -0.18}))
+    text = str(
+        Worth(
+            effect="cortical_tension",
+            with_it=(),
+            share=0.12,
+            saved=0.1,
+            motion=0.3,
+            changes={"contact_radius_end_um": -0.18},
+        )
+    )
     assert text.startswith("cortical tension: 12 % of the time, changes spreading by 18 %")
 
 

@@ -48,4 +48,4 @@ def test_a_cell_that_senses_gives_a_sensor():
 
 
 def test_a_model_without_offset_has_none():
-    assert not cs.LatentModel(np.diag([-1.0, -2.0])).offset.any()
+    assert not cs.LatentModel(A=np.diag([-1.0, -2.0])).offset.any()

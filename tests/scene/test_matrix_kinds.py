@@ -55,7 +55,16 @@ class Sheet(Plane):
         fibres = connect(x, 9.0)
         length = np.linalg.norm(x[fibres[:, 1]] - x[fibres[:, 0]], axis=1)
         top = np.flatnonzero((x[:, 2] > -0.7) & ~held)
-        return Disc(2**0.5 * self.reach, 1.4, x, fibres, length, self.tension / length, held, top)
+        return Disc(
+            radius=2**0.5 * self.reach,
+            thickness=1.4,
+            position=x,
+            fibres=fibres,
+            length=length,
+            stiffness=self.tension / length,
+            clamped=held,
+            surface=top,
+        )
 
 
 @dataclass(frozen=True)
@@ -200,7 +209,7 @@ def test_what_is_no_kind_of_matrix_is_told_what_it_lacks():
     with pytest.raises(SceneError, match=r"Half.* no title, place_cells, start_elsewhere, train"):
         Scene.parse(table({"kind": "half"}), matrices=[Half])
     with pytest.raises(ParameterError, match="matrix"):
-        Scene("x", 1.0, 1.0, {}, matrix=Half())
+        Scene(name="x", duration=1.0, sample=1.0, effects={}, matrix=Half())
     with pytest.raises(SceneError, match="not a dataclass"):
         Scene.parse(table({"kind": "half"}), matrices=[Plane])
     with pytest.raises(SceneError, match="'disc' already"):
@@ -225,7 +234,7 @@ def test_a_bead_is_run_kept_and_read_back_and_the_fingerprint_knows_its_law(tmp_
     with pytest.raises(cs.FileFormatError, match="matrices="):
         read_run(next(p for p in tmp_path.iterdir() if p.is_dir()))
     with pytest.raises(SceneError, match="no place beside a bead"):
-        Scene("x", 4.0, 1.0, {}, cells=(CellScene(),), matrix=Bead())
+        Scene(name="x", duration=4.0, sample=1.0, effects={}, cells=(CellScene(),), matrix=Bead())
     assert "origin" not in Scene.parse(DISC).canonical()["matrix"]
     assert cs.training_scenes(scene) == ([scene], [scene])
     with pytest.raises(SceneError, match="leave the error out"):

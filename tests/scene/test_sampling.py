@@ -147,11 +147,11 @@ def test_what_was_stored_with_another_duration_is_refused(tmp_path):
 
 def test_samples_of_a_model_are_samples_of_the_run():
     states = Layout([Block("x", (1,), "1")])
-    run = Trajectory(5.0 * np.arange(7), np.zeros((7, 1)), states)
+    run = Trajectory(t=5.0 * np.arange(7), x=np.zeros((7, 1)), states=states)
     assert [run.stride(s) for s in (5.0, 10.0, 30.0)] == [1, 2, 6]
     for step in (2.5, 7.0, 12.5, 0.0, np.nan):
         with pytest.raises(DataError, match="no multiple of the samples' 5 s"):
             run.stride(step)
-    uneven = Trajectory(np.array([0.0, 5.0, 11.0]), np.zeros((3, 1)), states)
+    uneven = Trajectory(t=np.array([0.0, 5.0, 11.0]), x=np.zeros((3, 1)), states=states)
     with pytest.raises(DataError, match="5 to 6 s apart"):
         uneven.stride(5.0)

@@ -90,7 +90,7 @@ def test_a_model_of_one_cell_runs_beside_them(tmp_path):
         cs.study(odd, tmp_path / "b", model=given)
     with pytest.raises(ParameterError, match="learns its own"):
         cs.study(scene(TINY), tmp_path / "c", model=given)
-    plain = cs.LatentModel(-np.eye(2))
+    plain = cs.LatentModel(A=-np.eye(2))
     with pytest.raises(ParameterError, match="got LatentModel"):
         cs.study(pair(), tmp_path / "d", model=plain)
     # refused before anything is run or written
@@ -234,7 +234,7 @@ def test_the_error_of_a_block_is_kept_in_one_place():
     states = Layout([Block("a.position", (2, 3), "um"), Block("b", (2,), "1")])
     x = np.zeros((4, 8))
     x[2] = [3.0, 0, 4.0, 0, 0, 0, 0, 1000.0]
-    bare = Trajectory(np.arange(4.0), x, states)
+    bare = Trajectory(t=np.arange(4.0), x=x, states=states)
     eps = 4 * np.finfo(float).eps  # the rounding of the states themselves
     assert bare.error_of("a.position") == pytest.approx(5 * eps)
     assert bare.error_of("b") == pytest.approx(1000 * eps)

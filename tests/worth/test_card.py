@@ -87,7 +87,7 @@ def test_baselines_are_what_they_say(linear):
 def test_nothing_moves_is_one_for_a_model_that_does_not_move(linear):
     data, _ = linear
     model = LatentModel(
-        np.zeros((10, 10)), V=np.eye(10), dt=data.dt, n_states=10, notes={"method": "still"}
+        A=np.zeros((10, 10)), V=np.eye(10), dt=data.dt, n_states=10, notes={"method": "still"}
     )
     row = assess(model, data).training["cells"]
     assert abs(row["model"] - 1.0) < 1e-12
@@ -133,7 +133,7 @@ def test_a_diverging_model_says_so_in_plain_numbers(linear):
     data, _ = linear
     basis = fit_basis(data, 2)
     model = LatentModel(
-        [[1e4, 0.0], [0.0, 1.0]],
+        A=[[1e4, 0.0], [0.0, 1.0]],
         offset=[1.0, 1.0],
         V=basis.V,
         mean=basis.mean,
@@ -153,7 +153,7 @@ def test_scores_stay_finite_between_large_and_diverged(linear):
     data, _ = linear
     basis = fit_basis(data, 1)
     model = LatentModel(
-        [[10 * (10 ** (150 / 59) * 0.999)]],
+        A=[[10 * (10 ** (150 / 59) * 0.999)]],
         offset=[1.0], V=basis.V, mean=basis.mean, scale=basis.scale, dt=data.dt, n_states=10,
     )  # fmt: skip
     card = assess(model, data)
@@ -162,7 +162,16 @@ def test_scores_stay_finite_between_large_and_diverged(linear):
 
 
 def test_card_prints_and_tables():
-    card = Card(3, "PCR()", "block", 10, 5, ("a", "b"), -0.5, input_share_explained=0.42)
+    card = Card(
+        order=3,
+        method="PCR()",
+        scale="block",
+        samples=10,
+        columns=5,
+        runs=("a", "b"),
+        spectral_abscissa=-0.5,
+        input_share_explained=0.42,
+    )
     assert "order 3, PCR(), scale='block', 10 samples x 5 columns from 2 runs" in str(card)
     assert "commands explain 42 % of the input u" in str(card)
     assert card.table()["runs"] == ["a", "b"]
@@ -195,7 +204,7 @@ def test_mse_is_equation_86_whatever_the_block_looks_like():
 def test_models_draw_themselves():
     data = one_step_data(seed=1)
     model = reduce(data, order=4)
-    for result in (model, pole_certainty(data, PCR(), 4), LatentModel([[-10.0]], dt=0.1)):
+    for result in (model, pole_certainty(data, PCR(), 4), LatentModel(A=[[-10.0]], dt=0.1)):
         ax = plt.figure().subplots()
         assert result.plot(ax) is ax
         ax.figure.canvas.draw()

@@ -44,7 +44,7 @@ def test_one_run_is_not_compared_with_its_own_mean(method):
     assert "do not predict" not in model.card.verdict
     # the naive comparison: the run beside the mean over all runs, itself among them
     rows = {"cells": slice(0, 2)}
-    naive = baselines(RunData(x), rows, mean_motion(state_data([x])))
+    naive = baselines(RunData(x=x), rows, mean_motion(state_data([x])))
     assert naive["cells"]["mean motion"] < model.card.training["cells"]["model"]
 
 
@@ -120,7 +120,7 @@ def test_the_larger_of_two_bounds_is_shown_everywhere(tmp_path):
     assert step.verdict == "not decided"
     with pytest.raises(ParameterError, match="z plane"):
         stability(model.plant(), certainty=again.certainty(discrete=True))
-    other = LatentModel([[-1.0, 0.0], [0.0, -2.0]])
+    other = LatentModel(A=[[-1.0, 0.0], [0.0, -2.0]])
     with pytest.raises(ParameterError, match="other poles"):
         stability(other.plant(), certainty=known)
 

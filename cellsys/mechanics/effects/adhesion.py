@@ -10,7 +10,7 @@ from cellsys.mechanics.effects.bond_laws import ClusterLaw, ClutchLaw
 from cellsys.mechanics.effects.protocol import Element, Site, parameter
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FocalAdhesion(ClutchLaw, ClusterLaw):
     """Adhesion of membrane nodes to the matrix surface [thesis 4.3, eq. 61-62].
 

@@ -78,8 +78,8 @@ class ClutchElement(Element):
         )
         self.strength, self.stretch = f"{cell.name}.bond_strength", f"{cell.name}.bond_stretch"
         self.internal = (
-            Block(self.strength, (n,), "1", "component", "internal"),
-            Block(self.stretch, (n, 2), "um", "component", "internal"),
+            Block(self.strength, (n,), "1", role="component", kind="internal"),
+            Block(self.stretch, (n, 2), "um", role="component", kind="internal"),
         )
         self.bins = SurfaceBins(disc, effect.reach)
         self._load = np.zeros(len(disc.position))

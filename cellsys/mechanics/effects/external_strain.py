@@ -22,7 +22,7 @@ from cellsys.mechanics.effects.protocol import (
 from cellsys.mechanics.geometry.disc import Disc
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ExternalStrain(Effect):
     """Nodes that follow u(t) = h(t) (displacement + strain (e . (r - c))) e, a flow source.
 

@@ -58,7 +58,7 @@ class Drag(Effect):
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MatrixElasticity(Effect):
     """Central-force fibres, f = k l0 g(strain) along the fibre [thesis 4.3]."""
 

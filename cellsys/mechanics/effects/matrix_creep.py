@@ -91,7 +91,9 @@ class _CreepElement(Element):
         self.name = f"{MATRIX}.{effect.name}"
         self.ports = (Port(MATRIX, self.name),)
         self.state = f"{MATRIX}.creep"
-        self.internal = (Block(self.state, (len(self.disc.fibres),), "um", "field", "internal"),)
+        self.internal = (
+            Block(self.state, (len(self.disc.fibres),), "um", role="field", kind="internal"),
+        )
         self._bounds: tuple[np.ndarray, np.ndarray] | None = None
         self._key = 0
         self._assembly: StiffnessAssembly | None = None

@@ -108,7 +108,9 @@ class _DegradationElement(Element):
         self.name = f"{MATRIX}.{effect.name}"
         self.ports = (Port(MATRIX, self.name),)
         self.state = f"{MATRIX}.intact"
-        self.internal = (Block(self.state, (len(self.disc.fibres),), "1", "field", "internal"),)
+        self.internal = (
+            Block(self.state, (len(self.disc.fibres),), "1", role="field", kind="internal"),
+        )
 
     def initial(self, block: Block) -> np.ndarray:
         return np.ones(block.shape)

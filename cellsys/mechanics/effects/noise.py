@@ -56,7 +56,7 @@ class _NoiseElement(Element):
         self.force_block = f"{array.name}.thermal_force"
         self.inputs = (Port(array.name, self.name),)
         self.internal = (
-            Block(self.force_block, array.drag.shape, "pN", array.block.role, "label"),
+            Block(self.force_block, array.drag.shape, "pN", role=array.block.role, kind="label"),
         )
         moving = np.where(np.isfinite(array.drag), array.drag, 0.0)
         self.scale = np.sqrt(2.0 * BOLTZMANN * effect.temperature * moving)

@@ -34,7 +34,7 @@ _NODES = 60  # assumed [notes: mechanics, nucleus]
 _LINKS = 3  # filaments from each node of the nucleus: three fix a point in space
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Nucleus(Effect):
     """An elastic sphere around the cell's centre, F = -dE/dx, its nodes with a drag of their own.
 

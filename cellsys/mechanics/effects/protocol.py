@@ -137,7 +137,7 @@ class Effect:
         return ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Site:
     """Where an effect is built: a cell (or None) on a matrix (or None).
 

@@ -26,7 +26,7 @@ from cellsys.mechanics.geometry.disc import Disc
 from cellsys.system import Block
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Lamellipodium(Effect):
     """Protrusion of the leading sector, an exogenous force [thesis 4.4, eq. 68-70]."""
 
@@ -92,8 +92,8 @@ class LamellipodiumElement(Element):
         self.array = cell.name
         self.inputs = (Port(cell.name, self.name),)
         self.commanded = (
-            Block(f"{cell.name}.heading", (3,), "1", "controller", "internal"),
-            Block(f"{cell.name}.amplitude", (), "1", "controller", "internal"),
+            Block(f"{cell.name}.heading", (3,), "1", role="controller", kind="internal"),
+            Block(f"{cell.name}.amplitude", (), "1", role="controller", kind="internal"),
         )
         self.polarity = f"{cell.name}.polarity"
         self.bonds = f"{cell.name}.bond_number"
@@ -198,7 +198,7 @@ class PolarityElement(Element):
         self.law, self.sensing, self.fibres = polarity, sensing, fibres
         self.name = f"{cell.name}.polarity"
         self.array = cell.name
-        self.internal = (Block(self.name, (3,), "1", "controller", "internal"),)
+        self.internal = (Block(self.name, (3,), "1", role="controller", kind="internal"),)
 
     def initial(self, block: Block) -> np.ndarray:
         if self.commands.heading is not None:
@@ -271,7 +271,7 @@ def _heading(history: History, t: float) -> np.ndarray:
     return np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ExternalLoad(Effect):
     """A force history spread over the surface nodes of a round patch of the matrix.
 

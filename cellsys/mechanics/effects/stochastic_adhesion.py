@@ -16,7 +16,7 @@ from cellsys.mechanics.streams import stream
 from cellsys.system import Event
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StochasticAdhesion(ClusterLaw):
     """Bell clusters with whole bonds: in a step dt at a load f per bond
 

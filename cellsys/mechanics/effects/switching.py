@@ -109,9 +109,9 @@ class SwitchingElement(Element):
         self.number, self.length = f"{cell.name}.bond_number", f"{cell.name}.bond_length"
         self.partner = cell.name + _PARTNER
         self.internal = (
-            Block(self.number, (n,), "1", "component", "internal"),
-            Block(self.length, (n,), "um", "component", "internal"),
-            Block(self.partner, (n,), "1", "component", "label"),
+            Block(self.number, (n,), "1", role="component", kind="internal"),
+            Block(self.length, (n,), "um", role="component", kind="internal"),
+            Block(self.partner, (n,), "1", role="component", kind="label"),
         )
         self.surface = disc.surface.astype(np.int64)
         self.rim = 0.9 * disc.radius

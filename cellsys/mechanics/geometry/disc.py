@@ -18,7 +18,7 @@ RIM = 0.947  # nodes beyond this share of the radius are clamped (28.4 of 30 um)
 SURFACE_DEPTH = 0.7  # um: nodes this close to the top plane carry adhesions
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Disc:
     """A network of fibres filling a flat cylinder, top plane z = 0.
 
@@ -196,4 +196,13 @@ def disc(
         )
     x, fibres, length, clamped, surface, G = _network(radius, thickness, count, coordination, seed)
     EA = modulus / (2.5 * G)
-    return Disc(radius, thickness, x, fibres, length, EA / length, clamped, surface)
+    return Disc(
+        radius=radius,
+        thickness=thickness,
+        position=x,
+        fibres=fibres,
+        length=length,
+        stiffness=EA / length,
+        clamped=clamped,
+        surface=surface,
+    )

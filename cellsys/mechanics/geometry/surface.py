@@ -89,7 +89,7 @@ class Mesh:
         face, vertex = np.empty((len(self.triangles), 3)), np.empty((len(x), 3))
         if pseudonormals(x, self.triangles, face, vertex) < 0:
             face, vertex = -face, -vertex
-        return Surface(x, self.triangles, self.across, face, vertex)
+        return Surface(x=x, triangles=self.triangles, across=self.across, face=face, vertex=vertex)
 
 
 def contour(points: np.ndarray) -> Surface:
@@ -128,11 +128,11 @@ def contour(points: np.ndarray) -> Surface:
     flat = np.zeros((n, 1))
     face = np.ascontiguousarray(np.hstack([out, flat]))
     return Surface(
-        np.ascontiguousarray(np.hstack([x, flat])),
-        np.column_stack([k, (k + 1) % n, (k + 1) % n]),
-        np.repeat(k[:, None], 3, axis=1),
-        face,
-        face + np.roll(face, 1, axis=0),
+        x=np.ascontiguousarray(np.hstack([x, flat])),
+        triangles=np.column_stack([k, (k + 1) % n, (k + 1) % n]),
+        across=np.repeat(k[:, None], 3, axis=1),
+        face=face,
+        vertex=face + np.roll(face, 1, axis=0),
     )
 
 
@@ -187,7 +187,7 @@ def convex_triangles(x: np.ndarray) -> np.ndarray:
     return triangles[np.lexsort(triangles.T)]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Surface:
     """A closed surface, or a contour in a plane, made by `Mesh.at` or `contour`.
 

@@ -33,7 +33,7 @@ from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class EquivariantCells(Drawable):
     """K equivariant cells on one field. Made by `couple(model, coupling=LoadPorts(...))`.
 
@@ -176,7 +176,7 @@ class EquivariantCells(Drawable):
         if not np.all(np.isfinite(p)) or np.any(np.hypot(p[:, 0], p[:, 1]) == 0):
             raise ParameterError("p0 must be finite and have a heading for every cell")
         system = EquivariantSystem(
-            whole=CellsOnField(self.model, self.coupling.field, tolerance=tolerance),
+            whole=CellsOnField(model=self.model, field=self.coupling.field, tolerance=tolerance),
             places=self.coupling.positions[:, :2],
             controller=self.controller if heading is None else None,
             sensor=self.sensor,
@@ -221,11 +221,11 @@ class EquivariantCells(Drawable):
         T, K, n = nodes.shape[:3]
         triangles = convex_triangles(self.model.representation.shape.sphere)
         blocks = [Block(f"cell{k + 1}.position", (n, 3), "um") for k in range(K)]
-        blocks.append(Block("matrix.displacement", u.shape[1:], "um", "field"))
+        blocks.append(Block("matrix.displacement", u.shape[1:], "um", role="field"))
         return Trajectory(
-            run.t,
-            np.column_stack([nodes.reshape(T, -1), u.reshape(T, -1)]),
-            Layout(blocks),
+            t=run.t,
+            x=np.column_stack([nodes.reshape(T, -1), u.reshape(T, -1)]),
+            states=Layout(blocks),
             p=run.p,
             d=run.d,
             statistics=run.statistics,

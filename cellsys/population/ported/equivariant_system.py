@@ -25,7 +25,7 @@ from cellsys.population.ported.capabilities import FieldReader
 from cellsys.system import Block, Event, Layout
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class EquivariantSystem:
     """K cells of one model on one field, each with its polarity.
 
@@ -70,14 +70,14 @@ class EquivariantSystem:
     @property
     def recorded(self) -> Layout:
         """z, field and p."""
-        p = Block("p", (self.n_cells, 3), "1", "controller", "internal")
+        p = Block("p", (self.n_cells, 3), "1", role="controller", kind="internal")
         return self.whole.layout(self.n_cells) + Layout([p])
 
     @property
     def states(self) -> Layout:
         """What is recorded, with the field's velocity."""
         z, q, p = self.recorded
-        return Layout([z, q, Block("field.rate", q.shape, "um/s", "field"), p])
+        return Layout([z, q, Block("field.rate", q.shape, "um/s", role="field"), p])
 
     @property
     def x0(self) -> np.ndarray:

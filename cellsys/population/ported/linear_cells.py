@@ -211,15 +211,15 @@ class PortedCells(Drawable):
                 else "inputs may add up without bound: the free cell does not contract strictly"
             )
             return CoupledStability(
-                "stable for every K and every placement",
-                f"cells and matrix are passive at their ports ({self.certificate}); {bounded}; "
-                "centroids integrate and are set apart",
-                poles.abscissa,
-                0.0,
-                self.passivity.contraction,
-                0,
-                poles,
-                self.route,
+                verdict="stable for every K and every placement",
+                reason=f"cells and matrix are passive at their ports ({self.certificate}); "
+                f"{bounded}; centroids integrate and are set apart",
+                spectral_abscissa=poles.abscissa,
+                abscissa_error=0.0,
+                numerical_abscissa=self.passivity.contraction,
+                integrators=0,
+                poles=poles,
+                route=self.route,
             )
         found = judge(self.matrix(), dt=0.0 if self.model.dt is None else float(self.model.dt))
         said = {
@@ -231,14 +231,14 @@ class PortedCells(Drawable):
             f"{found.error:.1e} only",
         )
         return CoupledStability(
-            found.verdict,
-            f"no certificate ({self.certificate}); {said}",
-            found.abscissa,
-            found.error,
-            found.numerical,
-            found.integrators,
-            self._poles,
-            self.route,
+            verdict=found.verdict,
+            reason=f"no certificate ({self.certificate}); {said}",
+            spectral_abscissa=found.abscissa,
+            abscissa_error=found.error,
+            numerical_abscissa=found.numerical,
+            integrators=found.integrators,
+            poles=self._poles,
+            route=self.route,
         )
 
     def plant(self) -> Any:

@@ -30,7 +30,7 @@ from cellsys.population.request import CouplingRequest
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LoadPorts(Placement):
     """Coupling of K cells by loads on one shared field.
 
@@ -94,6 +94,12 @@ class LoadPorts(Placement):
         sensor = standing_on(self.field, sensor)
         if controller is not None and sensor is None:
             raise ParameterError("a controller needs a sensor; the model has none, pass sensor=")
-        cells = EquivariantCells(model, self, controller, sensor, request.normalise)
+        cells = EquivariantCells(
+            model=model,
+            coupling=self,
+            controller=controller,
+            sensor=sensor,
+            normalise=request.normalise,
+        )
         self.check_port(cells.frozen().passivity)
         return cells

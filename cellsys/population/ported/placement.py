@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -25,6 +25,7 @@ class Placement:
 
     field: MatrixField
     positions: np.ndarray
+    _: KW_ONLY
     headings: np.ndarray | None = None
     port: LoadPort | None = None
     allow_active: bool = False

@@ -44,9 +44,9 @@ def frozen_port(model: EquivariantModel, t: float | None = None) -> CellPort:
             C.append(Cq)
             P.append(metric)
     return CellPort(
-        sla.block_diag(*A),
-        sla.block_diag(*F),
-        sla.block_diag(*C),
+        A=sla.block_diag(*A),
+        F=sla.block_diag(*F),
+        C=sla.block_diag(*C),
         metric=sla.block_diag(*P),
         dt=model.dt,
     )

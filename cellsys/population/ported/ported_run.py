@@ -65,7 +65,7 @@ def ported_loop(cells: Any) -> ClosedLoop | None:
         A, B, b = cell.A, cell.B, cell.offset
     else:
         A, B, b = (cell.A - np.eye(cell.order)) / cell.dt, cell.B / cell.dt, cell.offset / cell.dt
-    model = LatentModel(A, B=B, offset=b, dt=cell.dt, input_names=cell.input_names)
+    model = LatentModel(A=A, B=B, offset=b, dt=cell.dt, input_names=cell.input_names)
     return loop_of(model, cells.controller, cell.sensor, cells.normalise)
 
 
@@ -81,7 +81,7 @@ def run_ported(
     cell, loop = cells.model, ported_loop(cells)
     start = initial(cells, loop, z0, p0, q0)
     if cell.dt is not None:
-        system: Any = PortedSteps(cells, PortFlow(cells), loop, start)
+        system: Any = PortedSteps(cells=cells, flow=PortFlow(cells), loop=loop, x0=start)
         refuse_integrator(system, integrator, "cells without dt take any")
         method: Any = None
     else:
@@ -119,7 +119,7 @@ def initial(
 def layout(cells: Any, loop: ClosedLoop | None) -> Layout:
     """z (K, m), q and, with a loop, p (K, 3)."""
     K, n = cells.n_cells, int(cells.coupling.field.order)
-    blocks = [Block("z", (K, cells.order)), Block("q", (n,), "um", "field")]
+    blocks = [Block("z", (K, cells.order)), Block("q", (n,), "um", role="field")]
     return Layout(blocks if loop is None else [*blocks, polarities(K)])
 
 
@@ -172,7 +172,7 @@ def ported_system(cells: Any, loop: ClosedLoop | None, start: np.ndarray) -> Por
     return system
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PortedSteps:
     """Cells with a step of their own: midpoint exchange, commands held over each step.
 

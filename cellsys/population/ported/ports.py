@@ -25,7 +25,7 @@ _RESIDUAL = 1e-10
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CellPort:
     """A linear cell with a load port.
 
@@ -127,7 +127,7 @@ class CellPort:
         C = -gamma * sla.solve(P, F.T, assume_a="pos")
         if dt is not None:
             C = 0.5 * (C + A @ C)
-        return cls(A, F, C, B, offset, P, dt)
+        return cls(A=A, F=F, C=C, B=B, offset=offset, metric=P, dt=dt)
 
     @property
     def order(self) -> int:
@@ -198,7 +198,14 @@ class CellPort:
             and upstream <= 1e-14 * size
             and gamma >= 0
         )
-        return PortPassivity(index, worst, contraction, gamma, residual, certified)
+        return PortPassivity(
+            index=index,
+            frequency=worst,
+            contraction=contraction,
+            gamma=gamma,
+            residual=residual,
+            certified=certified,
+        )
 
     def _contraction(self, on: np.ndarray) -> float:
         """Largest growth in the metric: eigenvalue of (A^T P + P A)/2, or |A|_P^2 - 1."""
@@ -228,7 +235,7 @@ class CellPort:
 
 
 @checked
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PortPassivity(Shown):
     """Passivity of a cell's port.
 

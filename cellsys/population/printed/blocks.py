@@ -16,7 +16,7 @@ import numpy as np
 from cellsys.population.printed.split import DOUBTFUL, EPS, FieldSplit
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ModeBlock:
     """One block of the modal split: z = T x, x' = M x + G f, x(0) = D z_isolated(0).
 
@@ -123,14 +123,36 @@ class PrintedForm:
             if extra is not None:
                 X = X + omega * extra @ split.P
             eye = np.eye(m)
-            return ModeBlock(omega, X @ A, eye, eye, X, eye, keep | True, np.zeros(0), False, 1.0)
+            return ModeBlock(
+                omega=omega,
+                M=X @ A,
+                T=eye,
+                T_inverse=eye,
+                G=X,
+                D=eye,
+                kept=keep | True,
+                doubtful=np.zeros(0),
+                shared=False,
+                smallest=1.0,
+            )
         doubtful = np.abs(N[keep & (np.abs(N) < DOUBTFUL)])
         smallest = float(np.abs(N[keep]).min(initial=1.0))
         if not rotate and keep.all() and extra is None:
             eye = np.eye(m)
             T = (split.W * N) @ split.W.T
             inverse = (split.W / N) @ split.W.T
-            return ModeBlock(omega, A, T, inverse, eye, eye, keep, doubtful, True, smallest)
+            return ModeBlock(
+                omega=omega,
+                M=A,
+                T=T,
+                T_inverse=inverse,
+                G=eye,
+                D=eye,
+                kept=keep,
+                doubtful=doubtful,
+                shared=True,
+                smallest=smallest,
+            )
         W, A_w = split.W, split.W.T @ A @ split.W
         # T^-1 (I + omega R P) row by row: I + omega N^-1 (R - I) P where kept, omega (R - I) P
         # where dropped.
@@ -141,14 +163,14 @@ class PrintedForm:
         M = (X @ A_w) * keep
         shared = bool(keep.all()) and extra is None
         return ModeBlock(
-            omega,
-            M,
-            W * scale,
-            W.T / scale[:, None],
-            X @ W.T,
-            keep[:, None] * W.T,
-            keep,
-            doubtful,
-            shared,
-            smallest,
+            omega=omega,
+            M=M,
+            T=W * scale,
+            T_inverse=W.T / scale[:, None],
+            G=X @ W.T,
+            D=keep[:, None] * W.T,
+            kept=keep,
+            doubtful=doubtful,
+            shared=shared,
+            smallest=smallest,
         )

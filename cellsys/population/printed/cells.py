@@ -40,7 +40,7 @@ _STIFF = 1e-3  # smallest 1 - lambda for which the printed form loses less than 
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CoupledCells(Drawable):
     """K identical cells coupled through the rows of V that belong to the matrix.
 

@@ -42,7 +42,18 @@ def dense_block(
     X = N if extra is None else N + np.kron(w, extra @ split.P)
     if not form.inverted():
         kept = np.ones(K * m, bool)
-        return ModeBlock(np.nan, X @ isolated, eye, eye, X, eye, kept, np.zeros(0), False, 1.0)
+        return ModeBlock(
+            omega=np.nan,
+            M=X @ isolated,
+            T=eye,
+            T_inverse=eye,
+            G=X,
+            D=eye,
+            kept=kept,
+            doubtful=np.zeros(0),
+            shared=False,
+            smallest=1.0,
+        )
     U, s, Vt = sla.svd(N)
     # The rounding of N itself bounds what its singular values can tell.
     zero = max(split.tol**2, K * m * EPS * max(float(s[0]), 1.0))
@@ -51,7 +62,18 @@ def dense_block(
     smallest = float(s[keep].min(initial=1.0))
     if keep.all() and extra is None:
         inverse = (Vt.T / s) @ U.T
-        return ModeBlock(np.nan, isolated, N, inverse, eye, eye, keep, doubtful, True, smallest)
+        return ModeBlock(
+            omega=np.nan,
+            M=isolated,
+            T=N,
+            T_inverse=inverse,
+            G=eye,
+            D=eye,
+            kept=keep,
+            doubtful=doubtful,
+            shared=True,
+            smallest=smallest,
+        )
     scale = np.where(keep, s, 1.0)
     # Rows of T^-1 X: those of V^T plus the correction by R - I, without the cancellation of N N^-1.
     top = Vt * keep[:, None]
@@ -59,6 +81,14 @@ def dense_block(
         top = top + (U.T @ np.kron(w, extra @ split.P)) / scale[:, None]
     M = (top @ isolated @ Vt.T) * keep
     return ModeBlock(
-        np.nan, M, U * scale, U.T / scale[:, None], top, keep[:, None] * Vt, keep, doubtful,
-        bool(keep.all()) and extra is None, smallest,
-    )  # fmt: skip
+        omega=np.nan,
+        M=M,
+        T=U * scale,
+        T_inverse=U.T / scale[:, None],
+        G=top,
+        D=keep[:, None] * Vt,
+        kept=keep,
+        doubtful=doubtful,
+        shared=bool(keep.all()) and extra is None,
+        smallest=smallest,
+    )

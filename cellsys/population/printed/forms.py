@@ -58,7 +58,15 @@ class JoiningForm(PrintedForm):
         if headings is not None and (headings.shape != (K,) or not np.all(np.isfinite(headings))):
             raise DimensionError(f"headings must be {K} finite angles in rad")
         loop = loop_of(model, request.controller, request.sensor, request.normalise, headings)
-        return CoupledCells(model, K, self, request.graph, request.positions, headings, loop)
+        return CoupledCells(
+            model=model,
+            n_cells=K,
+            coupling=self,
+            graph=request.graph,
+            positions=request.positions,
+            headings=headings,
+            loop=loop,
+        )
 
 
 @checked

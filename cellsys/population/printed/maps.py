@@ -128,7 +128,7 @@ def P_c(
 
 
 @checked
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ForceMap:
     """P_map with what the fit left over.
 
@@ -217,4 +217,10 @@ def fit_P_map(
     matrix = ((Wt[:rank].T / s[:rank]) @ (U[:, :rank].T @ target)).T
     size = float(np.linalg.norm(target))
     left = float(np.linalg.norm(known @ matrix.T - target))
-    return ForceMap(matrix, left / size if size > 0 else 0.0, mismatch, len(s) - rank, rows)
+    return ForceMap(
+        matrix=matrix,
+        residual=left / size if size > 0 else 0.0,
+        mismatch=mismatch,
+        dropped=len(s) - rank,
+        rows=rows,
+    )
