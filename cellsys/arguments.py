@@ -19,12 +19,12 @@ import numpy as np
 from cellsys.errors import ParameterError
 from cellsys.kinds import REAL_ARRAY, given_as, kind_of
 
-_T = TypeVar("_T")
+_T = TypeVar("_T", bound=Callable[..., object])
 _MANY = 100  # arguments of a *name that are looked at
 _LISTED = (list, tuple, range, int, float, complex)  # what becomes an array where one is taken
 
 
-def needs(value: object, kind: Any, name: str) -> None:
+def needs(value: object, kind: object, name: str) -> None:
     """Refuse a value of a wrong kind.
 
     Parameters
@@ -83,7 +83,7 @@ def unchecked(method: _T) -> _T:
     return method
 
 
-def _hints(item: Any) -> dict[str, Any]:
+def _hints(item: Callable[..., object] | type) -> dict[str, object]:
     """Resolved annotations of the fields of a class, or of the parameters of a function."""
     if isinstance(item, type):
         return typing.get_type_hints(item, include_extras=True)
@@ -98,7 +98,9 @@ def _hints(item: Any) -> dict[str, Any]:
 
 
 def _guarded(
-    function: Any, annotated: Any, of_arrays: Callable[[Any], str | None] | None = None
+    function: Callable[..., object],
+    annotated: Callable[..., object],
+    of_arrays: Callable[[object], str | None] | None = None,
 ) -> Any:
     """The function behind its checks; `of_arrays`: that of arrays, where it is another one."""
     parameters = list(inspect.signature(function).parameters.values())
@@ -118,7 +120,7 @@ def _guarded(
         known.update(found)
 
     @functools.wraps(function)
-    def guarded(*args: Any, **kwargs: Any) -> Any:
+    def guarded(*args: object, **kwargs: object) -> object:
         if not known:
             prepare()
         given = [place.take(value) for place, value in zip(places, args, strict=False)]
@@ -136,7 +138,7 @@ class _Place:
     """A parameter: its name and what it takes."""
 
     def __init__(
-        self, name: str, annotation: Any, of_arrays: Callable[[Any], str | None] | None
+        self, name: str, annotation: object, of_arrays: Callable[[object], str | None] | None
     ) -> None:
         self.name, self.fault = name, kind_of(annotation).fault
         self.is_array = given_as(annotation) in (np.ndarray, np.ndarray | None)
@@ -145,7 +147,7 @@ class _Place:
         if self.is_array and of_arrays is not None:
             self.fault = of_arrays
 
-    def take(self, value: Any) -> Any:
+    def take(self, value: object) -> object:
         """The value, numbers in lists as an array; ParameterError for a wrong kind."""
         if value is None and self.optional:
             return None

@@ -6,14 +6,18 @@ function it is held by `cellsys.arguments`; `needs` holds it anywhere else.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Protocol, TypeVar, runtime_checkable
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
+from cellsys.answers import DistinctPoles, Measured, OutsideRange, SteppedRun, WholeSolution
 from cellsys.arguments import needs
 from cellsys.system import Layout, Matrix, OdeSystem
 from cellsys.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from control import StateSpace
 
 __all__ = [
     "Cells",
@@ -45,7 +49,7 @@ class WholeRun(Protocol):
 
     def solve(
         self, system: OdeSystem, t: np.ndarray, x0: np.ndarray, *, averages: bool = True
-    ) -> Any:
+    ) -> WholeSolution:
         """States at the times t, and the averages of eta and u between them."""
 
 
@@ -53,7 +57,9 @@ class WholeRun(Protocol):
 class Stepping(Protocol):
     """An integrator that goes from sample to sample by a stepper of its own."""
 
-    def start(self, system: OdeSystem, t0: float, x0: np.ndarray, rng: np.random.Generator) -> Any:
+    def start(
+        self, system: OdeSystem, t0: float, x0: np.ndarray, rng: np.random.Generator
+    ) -> SteppedRun:
         """A stepper at (t0, x0)."""
 
 
@@ -65,9 +71,17 @@ Integrator = Annotated[
 class StepSystem(Protocol):
     """A system with a step of its own, x+ = step(x, u, t), every dt seconds."""
 
-    states: Layout
-    x0: np.ndarray
-    dt: float
+    @property
+    def states(self) -> Layout:
+        """Names of the entries of x."""
+
+    @property
+    def x0(self) -> np.ndarray:
+        """Initial state (n,)."""
+
+    @property
+    def dt(self) -> float:
+        """Step, s."""
 
     def step(self, x: np.ndarray, u: np.ndarray | None, t: float) -> np.ndarray:
         """x (n,) at t + dt from x at t, under the inputs u (n_u,) held over the step."""
@@ -97,7 +111,7 @@ class ReducedModel(Protocol):
         """What it senses with, or None."""
 
     @property
-    def card(self) -> Any:
+    def card(self) -> Measured | None:
         """What it is worth, or None."""
 
     @property
@@ -125,10 +139,12 @@ class ReducedModel(Protocol):
     def pole_set(self) -> np.ndarray:
         """The poles, 1/s, with their bounds."""
 
-    def plant(self) -> Any:
+    def plant(self) -> StateSpace:
         """The model as a control.StateSpace."""
 
-    def validity(self, t: np.ndarray, z: np.ndarray, u: np.ndarray | None = None) -> list[Any]:
+    def validity(
+        self, t: np.ndarray, z: np.ndarray, u: np.ndarray | None = None
+    ) -> Sequence[OutsideRange]:
         """Flags where a roll-out leaves what the model was trained on."""
 
 
@@ -199,7 +215,7 @@ class MatrixField(Protocol):
         """Of a node, pN s/um."""
 
     @property
-    def stiffness(self) -> Any:
+    def stiffness(self) -> Matrix:
         """Of the coordinates (order, order), pN/um."""
 
     @property
@@ -280,21 +296,21 @@ class Cells(Protocol):
     def poles(self) -> np.ndarray:
         """Every pole, 1/s."""
 
-    def pole_set(self) -> Any:
+    def pole_set(self) -> DistinctPoles:
         """Distinct poles with their multiplicities, 1/s."""
 
-    def plant(self) -> Any:
+    def plant(self) -> StateSpace:
         """The whole as a control.StateSpace."""
 
-    def stability(self) -> Any:
+    def stability(self) -> object:
         """The verdict, with its certificate or its bounds."""
 
-    def simulate(self, t: np.ndarray, integrator: Any = None) -> Trajectory:
+    def simulate(self, t: np.ndarray, integrator: Integrator | None = None) -> Trajectory:
         """A run at the times t, s; an integrator is obeyed, or refused with the reason."""
 
 
 _Scene = TypeVar("_Scene")
-_Cell = TypeVar("_Cell")
+_Cell = TypeVar("_Cell", covariant=True)
 
 
 class MatrixKind(Protocol[_Scene, _Cell]):
@@ -327,7 +343,7 @@ class MatrixKind(Protocol[_Scene, _Cell]):
     ) -> list[_Scene]:
         """Scenes with turning commands; see `turning_scenes`."""
 
-    def draw(self, run: Trajectory, ax: Any = None, *, k: int = -1) -> Any:
+    def draw(self, run: Trajectory, ax: object = None, *, k: int = -1) -> object:
         """Draw the displacement of the matrix up to sample k of a run; returns the axes."""
 
     def refuse(self, scene: _Scene, use: str = "run") -> None:

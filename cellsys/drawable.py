@@ -7,12 +7,12 @@ house, and it keeps matplotlib out of every import that does not draw.
 from __future__ import annotations
 
 import importlib
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from cellsys.shown import Shown
 
 
-def draw_by(figure: str, *drawn: Any, ax: Any = None, error: float | None = None) -> Any:
+def draw_by(figure: str, *drawn: object, ax: object = None, error: float | None = None) -> object:
     """Call the function of `cellsys.figures` of this name, with its `error` where there is one."""
     draw = getattr(importlib.import_module("cellsys.figures"), figure)
     return draw(*drawn, ax=ax) if error is None else draw(*drawn, ax=ax, error=error)
@@ -23,6 +23,6 @@ class Drawable(Shown):
 
     _figure: ClassVar[str]
 
-    def plot(self, ax: Any = None) -> Any:
+    def plot(self, ax: object = None) -> object:
         """Draw into `ax` (new axes when None) and return what was drawn; never calls ``show``."""
         return draw_by(self._figure, self, ax=ax)

@@ -23,9 +23,9 @@ import inspect
 import operator
 import types
 import typing
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union
+from typing import Annotated, Any, Literal, NamedTuple, SupportsIndex, TypeGuard, TypeVar, Union
 
 import numpy as np
 
@@ -37,13 +37,13 @@ class Kind(NamedTuple):
     """What a value must be, in words, and what is wrong with one (None: nothing)."""
 
     what: str
-    fault: Callable[[Any], str | None]
+    fault: Callable[[object], str | None]
 
 
 class Takes(NamedTuple):
     """In ``Annotated[X, Takes(K)]``: a field of type X may be given as K."""
 
-    kind: Any
+    kind: object
 
 
 _T = TypeVar("_T")
@@ -52,12 +52,13 @@ Filled = Annotated[_T, _OR_NONE]
 FILLED: Any = None  # the default of such a field
 
 
-def given_as(annotation: Any) -> Any:
+def given_as(annotation: object) -> object:
     """What may be given where a value is kept as annotated."""
     if typing.get_origin(annotation) is Annotated:
-        for note in annotation.__metadata__:
+        kept, *notes = typing.get_args(annotation)
+        for note in notes:
             if isinstance(note, Takes):
-                return annotation.__origin__ | None if note is _OR_NONE else note.kind
+                return kept | None if note is _OR_NONE else note.kind
     return annotation
 
 
@@ -81,14 +82,14 @@ def shown(value: object) -> str:
     return f"a {type(value).__name__}"
 
 
-def _must_be(what: str, test: Callable[[Any], bool]) -> Kind:
-    def fault(value: Any) -> str | None:
+def _must_be(what: str, test: Callable[[object], bool]) -> Kind:
+    def fault(value: object) -> str | None:
         return None if test(value) else f" must be {what}, got {shown(value)}"
 
     return Kind(what, fault)
 
 
-def _is_real(value: Any) -> bool:
+def _is_real(value: object) -> bool:
     if isinstance(value, float):
         return True
     if isinstance(value, (bool, np.bool_)):
@@ -100,13 +101,18 @@ def _is_real(value: Any) -> bool:
     )
 
 
-def _is_whole(value: Any) -> bool:
-    return _whole(value) is not None and -(2**63) <= operator.index(value) < 2**63
+def _is_whole(value: object) -> bool:
+    return _is_from(-(2**63), value)
 
 
-def _whole(value: Any) -> int | None:
+def _is_from(least: int, value: object) -> bool:
+    whole = _whole(value)
+    return whole is not None and least <= whole < 2**63
+
+
+def _whole(value: object) -> int | None:
     """A whole number of any size as an int; None where it is none."""
-    if isinstance(value, (bool, np.bool_)):
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, SupportsIndex):
         return None
     try:
         return operator.index(value)
@@ -114,7 +120,7 @@ def _whole(value: Any) -> int | None:
         return None
 
 
-def _is_array(value: Any, dtypes: str = _NUMBERS) -> bool:
+def _is_array(value: object, dtypes: str = _NUMBERS) -> bool:
     if isinstance(value, np.ndarray):
         if value.dtype.kind != "O":
             return value.dtype.kind in dtypes
@@ -128,26 +134,27 @@ def _is_array(value: Any, dtypes: str = _NUMBERS) -> bool:
     return callable(getattr(type(value), "__array__", None))
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, (int, float, complex, np.number, np.bool_))
 
 
-def _fault_of_real(value: Any) -> str | None:
+def _fault_of_real(value: object) -> str | None:
     if _is_real(value):
         return None
     long = isinstance(value, int) and not isinstance(value, bool)
     return f" must be a number, got {shown(value)}" + ("; write it as 1e30" if long else "")
 
 
-def _fault_of_whole(value: Any) -> str | None:
+def _fault_of_whole(value: object) -> str | None:
     if _is_whole(value):
         return None
     bound = "" if _whole(value) is None else " between -2^63 and 2^63"
     return f" must be a whole number{bound}, got {shown(value)}"
 
 
+_FUNCTION: object = abc.Callable
 _ANYTHING = Kind("anything", lambda value: None)
-_PLAIN: dict[Any, Kind] = {
+_PLAIN: dict[object, Kind] = {
     Any: _ANYTHING,
     object: _ANYTHING,
     float: Kind("a number", _fault_of_real),
@@ -163,18 +170,18 @@ _PLAIN: dict[Any, Kind] = {
 REAL_ARRAY = _must_be("an array of real numbers", lambda v: _is_array(v, "biuf"))
 
 
-def _is_seed(value: Any) -> bool:
+def _is_seed(value: object) -> bool:
     whole = _whole(value)
     return whole is not None and whole >= 0
 
 
 Seed = Annotated[int, _must_be("a whole number >= 0", _is_seed)]
-Whole = Annotated[int, _must_be("a whole number >= 0", lambda v: _is_whole(v) and v >= 0)]
-Count = Annotated[int, _must_be("a whole number >= 1", lambda v: _is_whole(v) and v >= 1)]
+Whole = Annotated[int, _must_be("a whole number >= 0", lambda v: _is_from(0, v))]
+Count = Annotated[int, _must_be("a whole number >= 1", lambda v: _is_from(1, v))]
 
 
 @functools.cache
-def kind_of(annotation: Any) -> Kind:
+def kind_of(annotation: object) -> Kind:
     """The kind that an annotation stands for; annotations it does not know hold for anything."""
     annotation = given_as(annotation)
     if annotation in _PLAIN:
@@ -210,7 +217,7 @@ def kind_of(annotation: Any) -> Kind:
         return _ANYTHING  # a type variable
     if issubclass(found, abc.Mapping):
         return _mapping_of(*(map(kind_of, inside) if len(inside) == 2 else (_ANYTHING,) * 2))
-    if found is abc.Callable:
+    if found is _FUNCTION:
         return _must_be("a function", callable)
     if found in (list, tuple, set, frozenset) or found in (abc.Sequence, abc.Iterable, abc.Set):
         return _many_of(kind_of(inside[0]) if inside else _ANYTHING, found is abc.Iterable)
@@ -225,7 +232,7 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _called(kind: Kind, text: str) -> Kind:
-    def fault(value: Any) -> str | None:
+    def fault(value: object) -> str | None:
         return None if kind.fault(value) is None else f" must be {text}, got {shown(value)}"
 
     return Kind(text, fault)
@@ -238,7 +245,7 @@ def _any_of(kinds: list[Kind]) -> Kind:
 
     usual: dict[type, Kind] = {}  # what took a value of this type before is asked first
 
-    def fault(value: Any) -> str | None:
+    def fault(value: object) -> str | None:
         before = usual.get(type(value))
         if before is not None and before.fault(value) is None:
             return None
@@ -253,14 +260,17 @@ def _any_of(kinds: list[Kind]) -> Kind:
     return Kind(what, fault)
 
 
+def _is_row(value: object) -> TypeGuard[Sequence[object]]:
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, (tuple, list))
+
+
 def _tuple_of(kinds: list[Kind]) -> Kind:
     what = f"{len(kinds)} values: {', '.join(k.what for k in kinds)}"
 
-    def fault(value: Any) -> str | None:
-        sized = isinstance(value, (tuple, list)) or (
-            isinstance(value, np.ndarray) and value.ndim > 0
-        )
-        if not sized or len(value) != len(kinds):
+    def fault(value: object) -> str | None:
+        if not _is_row(value) or len(value) != len(kinds):
             return f" must be {what}; got {shown(value)}"
         both = zip(kinds, value, strict=True)
         return _first_fault((f"[{i}]", k, v) for i, (k, v) in enumerate(both))
@@ -273,7 +283,7 @@ def _many_of(kind: Kind, once: bool) -> Kind:
     what = "a list" if kind is _ANYTHING else f"a list, each entry {kind.what}"
     dtypes = {_PLAIN[int]: "iu", _PLAIN[float]: "iuf", _PLAIN[complex]: "iufc"}.get(kind, "")
 
-    def fault(value: Any) -> str | None:
+    def fault(value: object) -> str | None:
         if isinstance(value, np.ndarray) and value.ndim > 0:
             if kind is _ANYTHING or (value.ndim == 1 and value.dtype.kind in dtypes):
                 return None
@@ -293,7 +303,7 @@ def _many_of(kind: Kind, once: bool) -> Kind:
 def _mapping_of(key: Kind, entry: Kind) -> Kind:
     what = "a mapping" if key is _ANYTHING else f"a mapping from {key.what} to {entry.what}"
 
-    def fault(value: Any) -> str | None:
+    def fault(value: object) -> str | None:
         if not isinstance(value, abc.Mapping):
             return f" must be {what}, got {shown(value)}"
         return _first_fault((": a key", key, k) for k in value) or _first_fault(
@@ -303,7 +313,7 @@ def _mapping_of(key: Kind, entry: Kind) -> Kind:
     return Kind(what, fault)
 
 
-def _first_fault(entries: Iterable[tuple[str, Kind, Any]]) -> str | None:
+def _first_fault(entries: Iterable[tuple[str, Kind, object]]) -> str | None:
     for place, kind, value in entries:
         if (fault := kind.fault(value)) is not None:
             return place + fault
@@ -327,7 +337,7 @@ def parts_of(protocol: type) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _has(value: Any, name: str) -> bool:
+def _has(value: object, name: str) -> bool:
     """Whether it has the attribute, without computing it; what is made on demand is asked for."""
     if name in getattr(value, "__dict__", ()) or hasattr(type(value), name):
         return True
@@ -342,7 +352,7 @@ def _with_parts_of(protocol: type) -> Kind:
     first = (protocol.__doc__ or protocol.__name__).strip().partition("\n")[0].rstrip(".")
     what = first[0].lower() + first[1:]
 
-    def fault(value: Any) -> str | None:
+    def fault(value: object) -> str | None:
         lacks = wanted if isinstance(value, type) else [n for n in wanted if not _has(value, n)]
         if not lacks:
             return None

@@ -6,8 +6,9 @@ over-estimates of the tangent, stiff directions, states that are advanced by the
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,27 +17,27 @@ from cellsys.system import Event, OdeSystem
 
 
 class MajorantBlock(NamedTuple):
-    """An over-estimate of the tangent: SPD `matrix()` (k, k) on each column of `index` (k, c).
+    """An over-estimate of the tangent: SPD `matrix()` (k, k) on each column of `entries` (k, c).
 
     `factor(matrix)`, if given, returns a solver for these; `matrix` is called when `key` changes.
     """
 
     name: str
-    index: np.ndarray
+    entries: np.ndarray
     matrix: Callable[[], sp.csc_array]
-    key: Any
+    key: object
     factor: Callable[[sp.csc_array], Callable] | None = None
 
 
 class RankOne(NamedTuple):
-    """A stiff direction k g g^T (pressure of a closed membrane), g (k,) on the states `index`."""
+    """A stiff direction k g g^T (pressure of a closed membrane), g (k,) on the states `entries`."""
 
-    index: np.ndarray
+    entries: np.ndarray
     stiffness: float
     direction: np.ndarray
 
 
-class OverdampedSystem(OdeSystem):
+class OverdampedSystem(OdeSystem, ABC):
     """An `OdeSystem` of nodes with drag, and of internal states that follow them.
 
         C dx_i/dt = F_i(x)      nodes, through nodal force ports (constant W_eta = I/C)
@@ -47,13 +48,13 @@ class OverdampedSystem(OdeSystem):
 
     _made_by: ClassVar[str] = "cs.build(scene) of a disc; its tangent has a majorant"
 
+    @abstractmethod
     def drag(self) -> np.ndarray:
         """Drag of each state (n,), pN s/um; 0 marks internal states, inf clamped nodes."""
-        raise NotImplementedError
 
+    @abstractmethod
     def efforts(self, t: float, x: np.ndarray) -> np.ndarray:
         """Like `eta`, with the blocks that hold rates of internal states left at zero."""
-        raise NotImplementedError
 
     def rate(self, x: np.ndarray, eta: np.ndarray, u: np.ndarray) -> np.ndarray:
         """W_x x + W_eta eta + u (n,), in a new array."""
@@ -62,17 +63,17 @@ class OverdampedSystem(OdeSystem):
     def forget(self) -> None:
         """Drop what is kept between looks at the tangent: a run must not see an earlier one."""
 
+    @abstractmethod
     def internal_blocks(self) -> tuple[tuple[slice, slice], ...]:
         """(slice of x, slice of eta) of every internal state and its rate."""
-        raise NotImplementedError
 
+    @abstractmethod
     def advance_internal(self, t: float, x: np.ndarray, x_new: np.ndarray, dt: float) -> None:
         """Fill the internal states of `x_new`, given its node positions and the old state."""
-        raise NotImplementedError
 
+    @abstractmethod
     def majorant(self, t: float, x: np.ndarray, dt: float) -> tuple[MajorantBlock, ...]:
         """Sparse SPD over-estimates of -dF/dx; together they cover every node state once."""
-        raise NotImplementedError
 
     def low_rank(self, t: float, x: np.ndarray) -> tuple[RankOne, ...]:
         """Stiff directions to be added to the majorant by the Woodbury identity."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Any
 
 # module -> old name -> where the object is now
 NAMES: Mapping[str, Mapping[str, str]] = {
@@ -49,7 +48,9 @@ MODULES: Mapping[str, str] = {
 }
 
 
-def old_names(module: str, otherwise: Callable[[str], Any] | None = None) -> Callable[[str], Any]:
+def old_names(
+    module: str, otherwise: Callable[[str], object] | None = None
+) -> Callable[[str], object]:
     """``__getattr__`` of a module that once had other names.
 
     Parameters
@@ -60,7 +61,7 @@ def old_names(module: str, otherwise: Callable[[str], Any] | None = None) -> Cal
         The ``__getattr__`` that the module has already, asked for every other name.
     """
 
-    def __getattr__(name: str) -> Any:
+    def __getattr__(name: str) -> object:
         here = f"{module}.{name}"
         if here in MODULES:
             _warn(here, MODULES[here])

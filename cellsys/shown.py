@@ -6,7 +6,6 @@ import dataclasses
 import html
 from collections.abc import Mapping, Sequence
 from numbers import Number
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ class Shown:
     A notebook draws the table: the rows of the result where it has any, else its text.
     """
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         # `dataclass` writes a __repr__ of all fields unless the class has one of its own.
         if cls.__str__ is not object.__str__ and "__repr__" not in vars(cls):
@@ -38,7 +37,7 @@ class Shown:
 
     def _rows(self) -> tuple[Sequence[str], Sequence[Sequence[object]]] | None:
         """Names and rows of the table: of the first field that holds rows; None without one."""
-        for field in dataclasses.fields(self) if dataclasses.is_dataclass(self) else ():
+        for field in _fields(self):
             value = getattr(self, field.name)
             if isinstance(value, (tuple, list)) and value and dataclasses.is_dataclass(value[0]):
                 names = [
@@ -59,7 +58,7 @@ class Shown:
     def _columns(self) -> tuple[Sequence[str], Sequence[Sequence[object]]] | None:
         """The fields that are columns of one length, where there are two or more."""
         found: dict[int, dict[str, np.ndarray]] = {}
-        for field in dataclasses.fields(self) if dataclasses.is_dataclass(self) else ():
+        for field in _fields(self):
             value = getattr(self, field.name)
             if isinstance(value, np.ndarray) and value.ndim == 1 and value.size:
                 found.setdefault(len(value), {})[field.name] = np.asarray(value)
@@ -68,6 +67,12 @@ class Shown:
             return None
         rows = zip(*(c.tolist() for c in columns.values()), strict=True)
         return list(columns), [list(row) for row in rows]
+
+
+def _fields(item: object) -> tuple[dataclasses.Field[object], ...]:
+    if isinstance(item, type) or not dataclasses.is_dataclass(item):
+        return ()
+    return dataclasses.fields(item)
 
 
 def table_html(names: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

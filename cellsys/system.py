@@ -9,12 +9,23 @@ the names of its entries.
 
 from __future__ import annotations
 
+import builtins
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, NamedTuple, TypeGuard
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Generic,
+    NamedTuple,
+    TypeGuard,
+    TypeVar,
+    overload,
+)
 
 import numpy as np
 import scipy.sparse as sp
@@ -30,6 +41,10 @@ from cellsys.errors import (
 from cellsys.kinds import FILLED, Takes, shown
 from cellsys.units import real_array
 
+if TYPE_CHECKING:
+    import casadi
+
+Symbol = TypeVar("Symbol", "casadi.SX", "casadi.MX")
 ROLES = ("component", "field", "controller")
 Matrix = Annotated[
     np.ndarray | sp.sparray | sp.spmatrix, "a matrix of numbers, an array or scipy.sparse"
@@ -114,7 +129,13 @@ class Layout(Sequence[Block]):
     def __iter__(self) -> Iterator[Block]:
         return iter(self._blocks)
 
-    def __getitem__(self, key: Any) -> Any:
+    @overload
+    def __getitem__(self, key: str | int) -> Block: ...
+
+    @overload
+    def __getitem__(self, key: builtins.slice) -> tuple[Block, ...]: ...
+
+    def __getitem__(self, key: str | int | builtins.slice) -> Block | tuple[Block, ...]:
         try:
             return self._by_name[key] if isinstance(key, str) else self._blocks[key]
         except (KeyError, TypeError):
@@ -166,8 +187,9 @@ class Layout(Sequence[Block]):
         return np.flatnonzero(mask)
 
 
-def _matrix(value: Any, name: str, shape: tuple[int, int]) -> sp.csr_array:
-    matrix = sp.csr_array(shape) if value is None else sp.csr_array(value, dtype=float)
+def _matrix(value: sp.csr_array | None, name: str, shape: tuple[int, int]) -> sp.csr_array:
+    matrix = sp.csr_array(shape if value is None else value)
+    matrix.data = np.asarray(matrix.data, dtype=float)
     if matrix.shape != shape:
         raise DimensionError(f"{name} must have shape {shape}, got {matrix.shape}")
     if not np.all(np.isfinite(matrix.data)):
@@ -210,13 +232,14 @@ class EventFunction:
     level: bool = False
 
 
-class SymbolicForm(NamedTuple):
-    """CasADi form of a system: ``xdot`` and ``eta`` as expressions of ``t`` and ``x``."""
+class SymbolicForm(NamedTuple, Generic[Symbol]):
+    """CasADi form of a system: ``xdot`` and ``eta`` as expressions of ``t``, ``x`` and ``p``."""
 
-    t: Any
-    x: Any
-    xdot: Any
-    eta: Any
+    t: Symbol
+    x: Symbol
+    xdot: Symbol
+    eta: Symbol
+    p: Symbol | None = None  # of named parameters, where there are any
 
 
 @checked
@@ -355,18 +378,20 @@ def _overrides(system: OdeSystem, name: str) -> bool:
     return getattr(type(system), name) is not getattr(OdeSystem, name)
 
 
-def _entries(value: Any) -> list:
+def _entries(value: object) -> list:
     """A law may return a list of scalars and vectors, or one vector."""
     return list(value) if isinstance(value, (list, tuple)) else [value]
 
 
-def _is_regular(expression: Any) -> bool:
+def _is_regular(expression: casadi.SX | float) -> bool:
     import casadi as ca
 
-    return all(e.is_regular() for e in ca.SX(expression).elements() if e.is_constant())
+    matrix = ca.SX(expression)
+    entries = (matrix.nz[k] for k in range(matrix.nnz()))
+    return all(e.is_regular() for e in entries if e.is_constant())
 
 
-def _dm(matrix: sp.csr_array) -> Any:
+def _dm(matrix: sp.csr_array) -> casadi.DM:
     import casadi as ca
 
     return ca.DM(sp.csc_matrix(matrix))

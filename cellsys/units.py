@@ -11,7 +11,7 @@ import difflib
 import math
 import re
 from fractions import Fraction
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -98,7 +98,7 @@ def parse_unit(text: str) -> tuple[float, Dimension]:
     return factor, tuple(exponents)  # type: ignore[return-value]
 
 
-def real_array(value: Any, name: str) -> np.ndarray:
+def real_array(value: object, name: str) -> np.ndarray:
     """`value` as an array of floats; NaN and inf are left to the caller.
 
     Raises
@@ -119,7 +119,7 @@ def real_array(value: Any, name: str) -> np.ndarray:
         raise DataError(f"{name} must be an array of real numbers: {error}") from error
 
 
-def real_number(value: Any, name: str) -> float:
+def real_number(value: object, name: str) -> float:
     """`value` as a finite float.
 
     Raises
@@ -133,7 +133,7 @@ def real_number(value: Any, name: str) -> float:
     raise ParameterError(f"{name} must be a finite real number, got {shown(value)}")
 
 
-def shaped_array(value: Any, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+def shaped_array(value: object, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
     """`value` as a finite array of floats of a shape; None stands for any length.
 
     Raises

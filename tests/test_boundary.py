@@ -62,6 +62,9 @@ def test_wrong_kinds_are_refused_by_name(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     item, wrong = CALLABLES[name], []
     arguments, known = good(name, item), hints(item)
+    if inspect.isabstract(item):  # what derives from it is made in its place
+        given = dict.fromkeys(item.__abstractmethods__, lambda self, *more: None)
+        item = type(item.__name__, (item,), given)
     for p in inspect.signature(item).parameters.values():
         if p.kind in (p.VAR_POSITIONAL, p.VAR_KEYWORD):
             continue

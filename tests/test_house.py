@@ -44,7 +44,7 @@ FLOORS = [
     ("bondgraph", "integrate", "response"),
     ("contracts", "state_space"),
     ("laws", "store"),
-    ("system", "overdamped", "trajectory", "drawable"),
+    ("system", "overdamped", "trajectory", "drawable", "answers"),
     ("units", "arguments", "kinds", "printable", "shown", "errors", "version"),
     ("renamed",),
 ]
@@ -55,6 +55,7 @@ INSIDE = {
     ("trajectory", "system"),
     ("trajectory", "drawable"),
     ("overdamped", "system"),
+    ("answers", "system"),
     ("units", "errors"),
     ("units", "arguments"),
     ("units", "kinds"),

@@ -34,10 +34,12 @@ def cost(
         raise DataError(str(found))
     sweep = found.sweeps[0]
     if out is not None:
-        from cellsys.figures.sheet import save_png
+        from cellsys.figures import save_png, sheet, work_precision
 
         csv, _ = sweep.save(out)
-        save_png(sweep.plot()[0].figure, csv.with_suffix(".png"))
+        figure, ax = sheet((7.5, 5.5), 1)
+        work_precision(sweep, ax)
+        save_png(figure, csv.with_suffix(".png"))
     if as_json:
         dump(
             {

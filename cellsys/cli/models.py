@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -30,6 +30,8 @@ def reduce(
     """Learn a reduced model from runs."""
     from cellsys.cell import Equivariant
     from cellsys.errors import ParameterError
+    from cellsys.model.affine import AffineModel
+    from cellsys.model.card import card_of
     from cellsys.reduction import PCR, Contractive, LeastSquares
     from cellsys.reduction import reduce as learn
     from cellsys.samples import snapshots
@@ -41,9 +43,11 @@ def reduce(
         raise ParameterError(f"--method must be one of {', '.join(methods)}, got {method!r}")
     data = snapshots([read_run(r) if r.is_dir() else r for r in runs], dt=dt)
     model = learn(data, order=order, method=methods[method])
+    if not isinstance(model, AffineModel):
+        raise ParameterError(f"a {type(model).__name__} has no file format")
     path = model.save(out)
     if as_json:
-        dump(model.card.table())
+        dump(card_of(model).table())
         return
     show(model)
     show(f"written: {path}")
@@ -68,7 +72,7 @@ def poles(model: ModelFile, as_json: Json = False) -> None:
     table = damping(plant, certainty=loaded.certainty(discrete=plant.dt > 0))
     labelled = loaded.labelled_poles() if isinstance(loaded, EquivariantModel) else ()
     if as_json:
-        result: dict[str, Any] = {
+        result: dict[str, object] = {
             "poles": [[p.real, p.imag] for p in table.poles],
             "error_bounds": table.error_bound.tolist(),
             "bounds": table.poles.note or "rounding",
@@ -135,6 +139,8 @@ def _bode_along(
     model: AffineModel, at: str, horizon: float, out: Path | None, as_json: bool
 ) -> None:
     """Margins and Bode plot of a scheduled loop frozen at several times."""
+    import numpy as np
+
     from cellsys.cell import EquivariantModel
     from cellsys.errors import ParameterError
     from cellsys.loop import closed_loop
@@ -142,7 +148,7 @@ def _bode_along(
     if not isinstance(model, EquivariantModel):
         raise ParameterError("--at is for a scheduled model; this one is the same at all times")
     try:
-        times = [float(t) for t in at.split(",")]
+        times = np.array([float(t) for t in at.split(",")])
     except ValueError:
         raise ParameterError(f"--at takes times in s such as 100,500,1500, got {at!r}") from None
     found = closed_loop(model).margins_along(times, slower_than=1.0 / horizon)

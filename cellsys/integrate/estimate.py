@@ -13,13 +13,25 @@ import dataclasses
 import time as clock
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from cellsys.errors import IntegrationError
+from cellsys.contracts import Integrator
+from cellsys.errors import IntegrationError, ParameterError
+from cellsys.integrate.capabilities import (
+    BoundsStages,
+    EstimatesError,
+    FixedSteps,
+    Ordered,
+    Tolerances,
+)
 from cellsys.trajectory import ErrorEstimate
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+_Refined = TypeVar("_Refined", bound="DataclassInstance")
 SAFETY = 1.5  # the second solution is not exact either
 # Error of a step of implicit Euler over its distance to two half ones: 2 for slow modes, at most
 # this, max over a of (r_1 - e^-a)/(r_1 - r_2) with r_n = (1 + a/n)^-n.
@@ -28,7 +40,10 @@ TIGHTEST = 1e-13  # relative tolerance below which rounding rules
 
 
 def estimate_of(
-    integrator: Any, x: np.ndarray, again: Callable[[Any], np.ndarray], own: Any
+    integrator: Integrator,
+    x: np.ndarray,
+    again: Callable[[Integrator], np.ndarray],
+    own: Callable[[], np.ndarray] | None,
 ) -> Callable[[], ErrorEstimate]:
     """A function that estimates the error of the samples x (T, n), run when it is called.
 
@@ -44,7 +59,8 @@ def estimate_of(
         began = clock.perf_counter()
         scale = np.abs(x).max(axis=0)
         if own is not None:
-            method, absolute = integrator.estimates, own()
+            method = integrator.estimates if isinstance(integrator, EstimatesError) else "its own"
+            absolute: np.ndarray | None = own()
         else:
             method, absolute = _twice(integrator, x, again)
         if absolute is not None:
@@ -73,39 +89,51 @@ def estimate_by(
     return find
 
 
-def finer(integrator: Any) -> Any:
+def finer(integrator: _Refined) -> _Refined | None:
     """The method at a tenth of its tolerances or half its step; None where that is rounding."""
-    if getattr(integrator, "rtol", None) is not None:
-        if integrator.rtol <= TIGHTEST:
-            return None
-        rtol = max(0.1 * integrator.rtol, 0.5 * TIGHTEST)
-        second = replace(integrator, rtol=rtol, atol=0.1 * integrator.atol)
-        if hasattr(second, "largest_stages"):
-            # Where stages or the step are at their bound, the tolerance alone changes nothing.
-            stages = max(3, int(0.6 * second.largest_stages))
-            second = replace(second, largest_stages=stages, largest_step=0.4 * second.largest_step)
-        return second
-    return replace(integrator, step=0.5 * integrator.step)
+    if isinstance(integrator, Tolerances):
+        rtol, atol = integrator.rtol, integrator.atol
+        if rtol is not None and atol is not None:
+            if rtol <= TIGHTEST:
+                return None
+            second = replace(integrator, rtol=max(0.1 * rtol, 0.5 * TIGHTEST), atol=0.1 * atol)
+            if isinstance(second, BoundsStages):
+                # Where stages or the step are at their bound, the tolerance alone changes nothing.
+                stages = max(3, int(0.6 * second.largest_stages))
+                step = 0.4 * second.largest_step
+                second = replace(second, largest_stages=stages, largest_step=step)
+            return second
+    if isinstance(integrator, FixedSteps) and integrator.step is not None:
+        return replace(integrator, step=0.5 * integrator.step)
+    raise ParameterError(f"{_no_accuracy(integrator)}; give it one")
+
+
+def _no_accuracy(integrator: object) -> str:
+    return f"{type(integrator).__name__} carries no tolerance or step to be refined"
 
 
 def _twice(
-    integrator: Any, x: np.ndarray, again: Callable[[Any], np.ndarray]
+    integrator: Integrator, x: np.ndarray, again: Callable[[Integrator], np.ndarray]
 ) -> tuple[str, np.ndarray | None]:
-    if not dataclasses.is_dataclass(integrator) or not (
-        {"rtol", "step"} & {field.name for field in dataclasses.fields(integrator)}
+    if not (
+        dataclasses.is_dataclass(integrator)
+        and not isinstance(integrator, type)
+        and {"rtol", "step"} & {field.name for field in dataclasses.fields(integrator)}
     ):
-        return f"{type(integrator).__name__} carries no tolerance or step to be refined", None
+        return _no_accuracy(integrator), None
     second = finer(integrator)
     if second is None:
         return "the tolerance is at rounding", None
-    kind = "half the step" if getattr(second, "rtol", None) is None else "a tenth of the tolerance"
+    halved = not (isinstance(second, Tolerances) and second.rtol is not None)
+    kind = "half the step" if halved else "a tenth of the tolerance"
     try:
         better = again(second)
     except IntegrationError as error:
         return f"the run at {kind} fails: {error}", None
-    order = getattr(integrator, "order", None)
     # Half the step of an order-q method leaves 2^-q of the error in the second solution too.
-    share = 1.0 if order is None or kind != "half the step" else 1.0 / (1.0 - 0.5**order)
+    share = 1.0
+    if halved and isinstance(second, Ordered):
+        share = 1.0 / (1.0 - 0.5**second.order)
     return f"solved again at {kind}", share * np.abs(x - better).max(axis=0)
 
 

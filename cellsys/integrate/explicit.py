@@ -66,7 +66,7 @@ def stability_limit(system: OverdampedSystem, t: float = 0.0, x: np.ndarray | No
     drag = system.drag()
     largest = 0.0
     for block in system.majorant(t, state, 0.0):
-        c = drag[block.index[:, 0]]
+        c = drag[block.entries[:, 0]]
         free = np.isfinite(c)
         if not free.any():
             continue
@@ -81,6 +81,6 @@ def stability_limit(system: OverdampedSystem, t: float = 0.0, x: np.ndarray | No
                 break
         largest = max(largest, 1.05 * value)
     for item in system.low_rank(t, state):
-        c = drag[item.index]
+        c = drag[item.entries]
         largest += item.stiffness * float(np.sum(item.direction**2 / c))
     return np.inf if largest == 0.0 else 2.0 / largest

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import time as clock
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import ParameterError
+from cellsys.integrate.capabilities import NamesLinearPart
 from cellsys.integrate.exponential_steps import ExponentialStepper
 from cellsys.integrate.propagation import average_commands, sample, spacing
-from cellsys.integrate.semilinear import Semilinear
+from cellsys.integrate.semilinear import DenseFlow, ModalFlow, Semilinear
 from cellsys.integrate.solution import Solution
 from cellsys.integrate.splitting import Splitting
 from cellsys.integrate.stepping import check_step
@@ -95,22 +96,20 @@ class Exponential:
         """Integrate over the grid `t`; `averages` of eta and u cost a little more."""
         if self.step is not None:
             return ExponentialStepper(system, self.step, self.order).solve(t, x0, averages)
-        form = getattr(system, "semilinear", None)
-        if form is None:
+        if not isinstance(system, NamesLinearPart):
             raise ParameterError(
                 "Exponential(rtol=, atol=) needs a system that names its linear part (a closed "
                 "loop on a latent model); give step= and order= for any other system"
             )
-        return self._solve_windows(form(), t, x0, averages)
+        return self._solve_windows(system.semilinear(), t, x0, averages)
 
     def _solve_windows(
         self, system: Semilinear, t: np.ndarray, x0: np.ndarray, averages: bool
     ) -> Solution:
         began = clock.perf_counter()
         rtol, atol = float(self.rtol), float(self.atol)  # type: ignore[arg-type]
-        flow: Any = system.modal
-        if not flow.loss < 0.01 * (rtol + atol):
-            flow = system.dense
+        precise = system.modal.loss < 0.01 * (rtol + atol)
+        flow: ModalFlow | DenseFlow = system.modal if precise else system.dense
         s = _nodes(rtol + atol)
         solver = WindowSolver(system, flow, s, rtol, atol)
         w, y = flow.start(x0[system.fast]), x0[system.slow]

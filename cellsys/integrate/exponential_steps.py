@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import time as clock
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
@@ -37,6 +36,9 @@ def phi_matrices(L: np.ndarray, count: int) -> list[np.ndarray]:
     return [row[:, k * n : (k + 1) * n] for k in range(count + 1)]
 
 
+_Phis = tuple[list[np.ndarray], list[np.ndarray]]  # of a step, and of half of it
+
+
 class ExponentialStepper:
     """Fixed steps over the samples of one run."""
 
@@ -50,7 +52,7 @@ class ExponentialStepper:
         # Rows and columns of L that are zero need no exponential: phi_k is 1/k! there.
         self.L = system.W_x.toarray()
         self.live = np.flatnonzero(np.any(self.L != 0, axis=0) | np.any(self.L != 0, axis=1))
-        self.kept: dict[float, Any] = {}
+        self.kept: dict[float, _Phis] = {}
         self.counts = dict.fromkeys(("steps", "rejected", "rhs", "jacobians", "factorisations"), 0)
 
     def solve(self, t: np.ndarray, x0: np.ndarray, averages: bool) -> Solution:
@@ -87,7 +89,7 @@ class ExponentialStepper:
             step=h,
         )
 
-    def _phi(self, h: float) -> Any:
+    def _phi(self, h: float) -> _Phis:
         # Steps that differ by rounding share their matrices.
         key = float(f"{h:.13e}")
         if key not in self.kept:

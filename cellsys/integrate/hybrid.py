@@ -14,15 +14,18 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from typing import Any
+from typing import NoReturn, TypeAlias
 
 import numpy as np
+import scipy.integrate as integrate
 from scipy.optimize import brentq
 
 from cellsys.errors import IntegrationError, ParameterError
 from cellsys.integrate.solution import Solution
 from cellsys.system import Event, EventFunction, OdeSystem
 
+Rate = Callable[[float, np.ndarray], np.ndarray]
+Solver: TypeAlias = integrate.OdeSolver
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 LOOKS = 4  # looks at the guards in one step
 _SHARES = np.arange(1, LOOKS + 1) / LOOKS
@@ -33,7 +36,7 @@ def solve_hybrid(
     system: OdeSystem,
     t: np.ndarray,
     x0: np.ndarray,
-    start: Callable[..., Any],
+    start: Callable[[Rate, float, np.ndarray, float], Solver],
     *,
     name: str,
     max_steps: int,
@@ -154,12 +157,14 @@ class _Run:
         self._count(solver)
         self.now, self.state = stop, np.array(solver.y)
 
-    def _count(self, solver: Any) -> None:
+    def _count(self, solver: Solver) -> None:
         self.counts["rhs"] += int(solver.nfev)
         self.counts["jacobians"] += int(solver.njev)
         self.counts["factorisations"] += int(solver.nlu)
 
-    def _first_root(self, dense: Any, a: float, b: float) -> tuple[float, int] | None:
+    def _first_root(
+        self, dense: integrate.DenseOutput, a: float, b: float
+    ) -> tuple[float, int] | None:
         """(time, index) of the earliest guard that passes zero in [a, b]."""
         left = a
         times = a + (b - a) * _SHARES
@@ -181,7 +186,7 @@ class _Run:
             left = right
         return None
 
-    def _root(self, index: int, dense: Any, a: float, b: float) -> float:
+    def _root(self, index: int, dense: integrate.DenseOutput, a: float, b: float) -> float:
         event = self.guards[index]
 
         def guard(s: float) -> float:
@@ -292,7 +297,7 @@ class _Run:
             step=0.0,
         )
 
-    def _fail(self, message: str, solver: Any) -> None:
+    def _fail(self, message: str, solver: Solver) -> NoReturn:
         finite = solver.y[np.isfinite(solver.y)]
         raise IntegrationError(
             message,
@@ -301,13 +306,13 @@ class _Run:
             step=float(getattr(solver, "h_abs", 0.0) or 0.0),
         )
 
-    def _record(self, end: float, dense: Any, begin: float | None = None) -> None:
+    def _record(self, end: float, dense: integrate.DenseOutput | None, begin: float = 0.0) -> None:
         """Samples up to `end` and the averages of eta and u over [begin, end]."""
         times = self.times
         if dense is None:
             self.x[0] = self.state
             return
-        a = float(begin)  # type: ignore[arg-type]
+        a = float(begin)
         while True:
             last = self.sample == len(times) - 1
             b = end if last else min(end, float(times[self.sample + 1]))
@@ -319,7 +324,7 @@ class _Run:
             self.x[self.sample] = dense(float(times[self.sample]))
             a = b
 
-    def _average(self, dense: Any, a: float, b: float) -> None:
+    def _average(self, dense: integrate.DenseOutput, a: float, b: float) -> None:
         k, system = self.sample, self.system
         weight = 0.5 * (b - a) / (self.times[k + 1] - self.times[k])
         times = 0.5 * (a + b) + 0.5 * (b - a) * _NODES

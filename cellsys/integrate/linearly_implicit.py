@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
@@ -89,10 +88,10 @@ class _Factor:
     """
 
     index: np.ndarray
-    where: Any
-    key: Any
+    where: slice | np.ndarray
+    key: object
     dt: float
-    solve: Any
+    solve: Callable[[np.ndarray], np.ndarray]
 
     def part(self, vector: np.ndarray) -> np.ndarray:
         """The block's entries of a vector, shaped like `index`."""
@@ -156,10 +155,12 @@ class _ImplicitStepper(Stepper):
         self.since_look = 0
 
     def _factorise(self, block: MajorantBlock, dt: float) -> _Factor:
-        keep = self.moving[block.index[:, 0]]
-        index = block.index[keep]
+        keep = self.moving[block.entries[:, 0]]
+        index = block.entries[keep]
         if not index.size:  # all of it is held
-            return _Factor(index=index, where=slice(0, 0), key=block.key, dt=dt, solve=None)
+            return _Factor(
+                index=index, where=slice(0, 0), key=block.key, dt=dt, solve=np.zeros_like
+            )
         matrix = block.matrix()
         if not keep.all():
             matrix = sp.csc_array(matrix)[:, keep][keep]
@@ -187,7 +188,7 @@ class _ImplicitStepper(Stepper):
         G = np.zeros((len(low_rank), rhs.size))
         Z = np.zeros_like(G)
         for g, z, item in zip(G, Z, low_rank, strict=True):
-            g[item.index] = item.direction
+            g[item.entries] = item.direction
             for factor in self.factors.values():
                 part = factor.part(g)
                 if part.any():

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 from typing import Annotated as Annotated  # what the inherited __init__ is annotated with
-from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
@@ -26,18 +26,11 @@ from cellsys.kinds import Takes as Takes
 from cellsys.system import Block as Block
 from cellsys.system import Layout as Layout  # what the inherited __init__ is annotated with
 from cellsys.system import Matrix as Matrix
-from cellsys.system import OdeSystem
+from cellsys.system import OdeSystem, SymbolicForm
 from cellsys.units import shaped_array
 
-
-class ParametricForm(NamedTuple):
-    """CasADi form of a system with parameters p."""
-
-    t: Any
-    x: Any
-    xdot: Any
-    eta: Any
-    p: Any
+if TYPE_CHECKING:
+    from casadi import DM, Function
 
 
 @checked
@@ -70,7 +63,7 @@ class ParametricSystem(OdeSystem):
     def u(self, t: float, x: np.ndarray) -> np.ndarray:
         return np.asarray(self.rate(t, x, self.parameters), dtype=float).reshape(x.shape)
 
-    def casadi(self) -> ParametricForm:
+    def casadi(self) -> SymbolicForm:
         """CasADi form (t, x, xdot, eta, p)."""
         import casadi as ca
 
@@ -82,7 +75,7 @@ class ParametricSystem(OdeSystem):
             value = self.rate(t, x, named)
             value = ca.vcat(list(value)) if isinstance(value, (list, tuple)) else value
             xdot = ca.DM(self.W_x.toarray()) @ x + value
-            kept = self.__dict__["_form"] = ParametricForm(t, x, xdot, ca.SX.zeros(0, 1), p)
+            kept = self.__dict__["_form"] = SymbolicForm(t, x, xdot, ca.SX.zeros(0, 1), p)
         return kept
 
 
@@ -208,7 +201,13 @@ def _names(system: ParametricSystem, chosen: Sequence[str] | None) -> tuple[str,
     return tuple(chosen) if chosen is not None else known
 
 
-def _run(function: Any, integrator: Any, system: Any, t: np.ndarray, *more: Any) -> tuple:
+def _run(
+    function: Function,
+    integrator: Integrator,
+    system: ParametricSystem,
+    t: np.ndarray,
+    *more: np.ndarray,
+) -> tuple[DM, ...]:
     try:
         return function(system.parameter_values, *more)
     except RuntimeError as error:

@@ -11,8 +11,8 @@ before them and one exponential of their own.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -67,28 +67,33 @@ def sample(
                     chosen = index[first:last] - begin - 1 - rows.start
                     inside = (chosen >= 0) & (chosen < z.shape[1])
                     z, y = z[:, chosen[inside]], y[:, chosen[inside]]
-                    target: Any = np.arange(first, last)[inside]
+                    target: slice | np.ndarray = np.arange(first, last)[inside]
                 else:
                     target = slice(first + rows.start, first + rows.stop)
                 _write(x, target, places, z, y)
             continue
         mine = np.flatnonzero((lengths[owner] == h) & (t > edges[0]))
         if mine.size:
-            which = np.searchsorted(windows, owner[mine])
-            z, y = group.anywhere(which, t[mine] - edges[owner[mine]])
+            found = np.searchsorted(windows, owner[mine])
+            z, y = group.anywhere(found, t[mine] - edges[owner[mine]])
             _write(x, mine, places, z, y)
 
 
+_Part = slice | np.ndarray
+
+
 def _write(
-    x: np.ndarray, rows: Any, places: list[tuple[Any, Any]], z: np.ndarray, y: np.ndarray
+    x: np.ndarray, rows: _Part, places: list[tuple[_Part, _Part]], z: np.ndarray, y: np.ndarray
 ) -> None:
     for k, pair in enumerate(places):
         for at, values in zip(pair, (z[k], y[k]), strict=True):
-            plain = isinstance(rows, slice) or isinstance(at, slice)
-            x[(rows, at) if plain else np.ix_(rows, at)] = values
+            if isinstance(rows, slice) or isinstance(at, slice):
+                x[rows, at] = values
+            else:
+                x[np.ix_(rows, at)] = values
 
 
-def _slice(index: np.ndarray) -> Any:
+def _slice(index: np.ndarray) -> _Part:
     """A slice where indices are consecutive: numpy copies that without looking them up."""
     first, last = int(index[0]), int(index[-1])
     return slice(first, last + 1) if last - first == len(index) - 1 else index
@@ -156,7 +161,9 @@ class _Group:
             w[:, :, j + 1] = flow.apply(E, w[:, :, j]) + pushed[:, :, j]
         return w
 
-    def on_grid(self, unit: float, steps: int) -> Any:
+    def on_grid(
+        self, unit: float, steps: int
+    ) -> Iterator[tuple[int, slice, np.ndarray, np.ndarray]]:
         """(window, range of its steps, z, y (cells, steps, .)) at the ends of `steps` steps."""
         q, (cells, G) = _GAUSS[-1], self.Y.shape[:2]
         width = (2 * self.flow.size + q * (self.system.B.shape[1] + 1)) * self.system.A.shape[0]
@@ -239,7 +246,7 @@ def _rows(C: np.ndarray) -> np.ndarray:
     return C.reshape(-1, *C.shape[-2:])
 
 
-def _kept(system: Semilinear, key: tuple, most: int, make: Any) -> Any:
+def _kept(system: Semilinear, key: tuple, most: int, make: Callable[[], np.ndarray]) -> np.ndarray:
     """An entry of the system's tables; the oldest of its kind is given up above `most`."""
     if key not in system.tables:
         same = [k for k in system.tables if k[0] == key[0]]

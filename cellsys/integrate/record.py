@@ -22,7 +22,7 @@ class Sink(Protocol):
 
     arrays: dict[str, np.ndarray]
 
-    def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
+    def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, object]) -> None:
         """Make the rows so far durable."""
 
     def last_checkpoint(self) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
@@ -42,7 +42,7 @@ class MemorySink:
         # Zeros of the system cost nothing until they are written.
         self.arrays = {name: np.zeros(shape) for name, shape in shapes.items()}
 
-    def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
+    def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, object]) -> None:
         """Nothing to keep: a run in memory is not resumed."""
 
     def last_checkpoint(self) -> None:
@@ -72,11 +72,11 @@ def record_shapes(
     return shapes
 
 
-def check_times(t: Any) -> np.ndarray:
+def check_times(t: object) -> np.ndarray:
     """Times as a float array: at least one, finite, increasing."""
     times = np.atleast_1d(real_array(t, "t"))
     if times.ndim != 1 or not times.size:
-        raise DimensionError(f"t must be a 1-D array of times in s, got shape {np.shape(t)}")
+        raise DimensionError(f"t must be a 1-D array of times in s, got shape {times.shape}")
     if not np.all(np.isfinite(times)):
         raise DataError("t holds NaN or inf")
     if np.abs(times).max() > 1e300:

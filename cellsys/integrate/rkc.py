@@ -15,7 +15,7 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import ParameterError
-from cellsys.integrate.stepping import Stepper
+from cellsys.integrate.stepping import SampledRun
 from cellsys.overdamped import OverdampedSystem
 from cellsys.system import OdeSystem
 
@@ -65,7 +65,7 @@ class RKC:
 
     def start(
         self, system: OdeSystem, t0: float, x0: np.ndarray, rng: np.random.Generator
-    ) -> Stepper:
+    ) -> SampledRun:
         """A stepper at (t0, x0)."""
         if system.discrete and not np.isfinite(self.largest_step):
             raise ParameterError(
@@ -100,14 +100,16 @@ def coefficients(s: int) -> tuple[np.ndarray, np.ndarray]:
     return rows, c
 
 
-class _ChebyshevStepper(Stepper):
+class _ChebyshevStepper(SampledRun):
     def __init__(self, method, system, t0, x0, rng) -> None:
         super().__init__(system, t0, x0, rng, 0.0)
         self.method, self.h = method, 0.0
         self.vector = rng.spawn(1)[0].standard_normal(x0.size)
         self.radius, self.age, self.left = 0.0, _RENEW, method.max_steps
         self.rate: np.ndarray | None = None
-        self.held: tuple[np.ndarray, np.ndarray] | None = None
+        # eta and u at the start of the step under way, and at the last look.
+        nothing = np.zeros(system.auxiliaries.size), np.zeros(x0.size)
+        self.kept, self.held = nothing, nothing
         self.statistics["largest_stages"] = 0
         if isinstance(system, OverdampedSystem):
             system.forget()

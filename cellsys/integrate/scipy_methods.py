@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 import scipy.integrate as integrate
 
 from cellsys.arguments import checked
 from cellsys.errors import IntegrationError, ParameterError
-from cellsys.integrate.hybrid import solve_hybrid
+from cellsys.integrate.hybrid import Rate, Solver, solve_hybrid
 from cellsys.integrate.solution import Solution
 from cellsys.system import OdeSystem
 from cellsys.units import real_number
@@ -32,7 +33,7 @@ class _Method:
     finds_events: ClassVar[bool] = True
     local: ClassVar[float] = 1.0  # share of the tolerances that one step may leave
     untold: ClassVar[tuple[str, ...]] = ()  # counts that the program behind keeps to itself
-    _solver: ClassVar[Any] = None
+    _solver: ClassVar[Callable[..., Solver]]
 
     def __post_init__(self) -> None:
         name = type(self).__name__
@@ -54,7 +55,7 @@ class _Method:
     ) -> Solution:
         """Integrate over the grid `t`, with the system's events and stop points."""
 
-        def start(fun: Any, t0: float, x: np.ndarray, bound: float) -> Any:
+        def start(fun: Rate, t0: float, x: np.ndarray, bound: float) -> Solver:
             first = None if self.first_step is None else min(self.first_step, bound - t0)
             solver = self._solver(
                 fun,
@@ -88,8 +89,7 @@ class _Method:
             cascade=self.cascade,
             averages=averages,
         )
-        solution.statistics.update(dict.fromkeys(self.untold))
-        return solution
+        return replace(solution, statistics={**solution.statistics, **dict.fromkeys(self.untold)})
 
 
 @checked
@@ -109,7 +109,7 @@ class DOP853(_Method):
         Events at one instant after which the run is called chattering.
     """
 
-    _solver: ClassVar[Any] = integrate.DOP853
+    _solver = integrate.DOP853
 
 
 @checked
@@ -121,7 +121,7 @@ class Radau(_Method):
     """
 
     untold: ClassVar[tuple[str, ...]] = ("rejected",)
-    _solver: ClassVar[Any] = integrate.Radau
+    _solver = integrate.Radau
 
 
 @checked
@@ -136,7 +136,7 @@ class LSODA(_Method):
     local: ClassVar[float] = 0.1
     untold: ClassVar[tuple[str, ...]] = ("jacobians", "factorisations", "rejected")
 
-    _solver: ClassVar[Any] = integrate.LSODA
+    _solver = integrate.LSODA
 
     def solve(
         self, system: OdeSystem, t: np.ndarray, x0: np.ndarray, *, averages: bool = True

@@ -9,6 +9,7 @@ an integrator can work on y alone and find z afterwards, for all samples at once
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -142,7 +143,7 @@ def interval_weights(nodes: np.ndarray) -> np.ndarray:
     return sla.solve(V, np.eye(q)).T
 
 
-class Flow:
+class Flow(ABC):
     """What both forms of exp(A t) share: how finely the kernel must be sampled."""
 
     rates: np.ndarray
@@ -166,29 +167,29 @@ class Flow:
                 return None
         return None
 
+    @abstractmethod
     def start(self, z: np.ndarray) -> np.ndarray:
         """w (..., M), what the flow acts on, of z (..., m)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def read(self, w: np.ndarray) -> np.ndarray:
         """z (..., m) of w (..., M)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def exponential(self, t: float) -> np.ndarray:
         """e^{A t} as `apply` wants it."""
-        raise NotImplementedError
 
+    @abstractmethod
     def apply(self, E: np.ndarray, w: np.ndarray) -> np.ndarray:
         """e^{A t} w."""
-        raise NotImplementedError
 
+    @abstractmethod
     def interval(self, step: np.ndarray | float, nodes: np.ndarray) -> np.ndarray:
         """Weights of commands at `nodes` in their effect after `step` seconds."""
-        raise NotImplementedError
 
+    @abstractmethod
     def response(self, weights: np.ndarray, C: np.ndarray) -> np.ndarray:
         """Effect (T, M) of commands C (T, q, n_c) by `interval` weights."""
-        raise NotImplementedError
 
 
 class ModalFlow(Flow):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 
+from cellsys.answers import WholeSolution
 from cellsys.arguments import checked
-from cellsys.contracts import Integrator, StepSystem, WholeRun, needs
+from cellsys.contracts import Integrator, Stepping, StepSystem, WholeRun
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.integrate.capabilities import (
     FindsEvents,
@@ -32,7 +32,7 @@ from cellsys.integrate.record import (
 from cellsys.integrate.step_runs import refuse_integrator, simulate_steps
 from cellsys.kinds import Seed
 from cellsys.system import Event, OdeSystem
-from cellsys.trajectory import Trajectory
+from cellsys.trajectory import ErrorEstimate, Trajectory
 from cellsys.units import real_array
 
 SEGMENT = 20  # samples between two checkpoints
@@ -109,7 +109,10 @@ def simulate(
         if sink is not None:
             raise ParameterError(f"a {type(system).__name__} steps in memory; leave sink out")
         return simulate_steps(system, times, start, u, progress, label, model_error, until)
-    needs(integrator, Integrator, "integrator")
+    if integrator is None:
+        raise ParameterError(
+            "integrator must be an integrator such as cs.DOP853(rtol=1e-8, atol=1e-10), got None"
+        )
     if u is not None:
         raise ParameterError("an OdeSystem has its inputs in its forcing; leave u out")
     guards = system.events()
@@ -118,19 +121,19 @@ def simulate(
             f"{type(integrator).__name__} does not look for events and this system has some "
             f"({guards[0].name!r}, ...); use DOP853, Radau or LSODA"
         )
-    at_once = isinstance(integrator, WholeRun)
-    if until is not None and at_once:
+    whole = integrator if isinstance(integrator, WholeRun) else None
+    if until is not None and whole is not None:
         raise ParameterError(
             f"{type(integrator).__name__} finds a whole run at once and cannot end it on a "
             "condition; use LinearlyImplicit or ExplicitEuler"
         )
-    if at_once and system.discrete:
+    if whole is not None and system.discrete:
         raise ParameterError(
             f"{type(integrator).__name__} knows no steps, and this system changes between them "
             "(binding, rupture, thermal forces); use LinearlyImplicit or ExplicitEuler"
         )
-    shows = isinstance(system, Shows)
-    if shows and (auxiliaries or sink is not None):
+    shows = system if isinstance(system, Shows) else None
+    if shows is not None and (auxiliaries or sink is not None):
         raise ParameterError(
             f"samples of a {type(system).__name__} are no states: neither laws nor a run folder go "
             "with them; use auxiliaries=False and no sink"
@@ -139,34 +142,36 @@ def simulate(
     if auxiliaries:
         rows.arrays["eta_start"][: system.auxiliaries.size] = system.eta(float(times[0]), start)
     began = clock.perf_counter()
-    if at_once:
+    own: Callable[[], np.ndarray] | None = None
+    if isinstance(integrator, WholeRun):
         solution = integrator.solve(system, times, start, averages=auxiliaries)
         statistics, events = _record_solution(system, solution, times, rows, auxiliaries)
         own = solution.estimate
+        count, spent = len(times), statistics.get("wall_time")
     else:
         rng = np.random.default_rng(
             seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         )
-        statistics, events = _march(
+        count, spent, statistics, events = _march(
             system, integrator, times, start, rng, rows, auxiliaries, progress, until
         )
-        own = None
     arrays = rows.arrays
     if until is not None:
-        times, arrays = first_samples(statistics["samples"], times, arrays)
-    x = system.show(arrays["x"]) if shows else arrays["x"]
+        times, arrays = first_samples(count, times, arrays)
+    x = arrays["x"] if shows is None else shows.show(arrays["x"])
 
-    def again(second: Any, times: np.ndarray = times) -> np.ndarray:
+    def again(second: Integrator, times: np.ndarray = times) -> np.ndarray:
         found = _samples(system, second, times, start, seed)
-        return system.show(found) if shows else found
+        return found if shows is None else shows.show(found)
 
-    estimator = None
+    estimator: Callable[[], ErrorEstimate] | None = None
     if isinstance(integrator, JudgesItself):
         estimator = integrator.estimator(system, times, x, again)
     elif "step" not in statistics:
-        estimator = estimate_of(integrator, x, again, None if shows else own)
+        estimator = estimate_of(integrator, x, again, own if shows is None else None)
     # A stepper without tolerances reads its error from the samples, in `trajectory_of`.
-    statistics["wall_time"] = statistics.get("wall_time", 0.0) + clock.perf_counter() - began
+    before = spent if isinstance(spent, float) else 0.0
+    statistics["wall_time"] = before + clock.perf_counter() - began
     statistics["integrator"] = repr(integrator)
     return trajectory_of(
         system,
@@ -177,12 +182,16 @@ def simulate(
         label,
         estimator,
         model_error,
-        system.shown if shows else None,
+        None if shows is None else shows.shown,
     )
 
 
 def _samples(
-    system: OdeSystem, integrator: Any, t: np.ndarray, x0: np.ndarray, seed: Any
+    system: OdeSystem,
+    integrator: Integrator,
+    t: np.ndarray,
+    x0: np.ndarray,
+    seed: int | np.random.SeedSequence,
 ) -> np.ndarray:
     """The states (T, n) alone of a run."""
     if isinstance(integrator, WholeRun):
@@ -197,7 +206,7 @@ def _samples(
 
 def _march(
     system: OdeSystem,
-    integrator: Any,
+    integrator: Stepping,
     t: np.ndarray,
     x0: np.ndarray,
     rng: np.random.Generator,
@@ -205,7 +214,8 @@ def _march(
     auxiliaries: bool,
     progress: Callable[[float], None] | None = None,
     until: Callable[[float, np.ndarray], bool] | None = None,
-) -> tuple[dict[str, Any], tuple[Event, ...]]:
+) -> tuple[int, float, dict[str, object], tuple[Event, ...]]:
+    """Samples that were found, s of earlier parts of the run, statistics and events."""
     stepper = integrator.start(system, float(t[0]), x0, rng)
     stepper.averages = auxiliaries
     first, wall = 0, 0.0
@@ -245,18 +255,19 @@ def _march(
         if ends:
             count = k + 2
             break
-    statistics = {**stepper.statistics, "wall_time": wall}
+    statistics: dict[str, object] = {**stepper.statistics, "wall_time": wall}
     if until is not None:
         statistics["samples"] = count
-    first = isinstance(integrator, FixedSteps) and not isinstance(integrator, JudgesItself)
-    if first and integrator.step is not None:
-        statistics |= {"step": float(integrator.step), "estimate_is_quick": True}
-    return statistics, tuple(stepper.events)
+    if isinstance(integrator, FixedSteps) and not isinstance(integrator, JudgesItself):
+        step = integrator.step
+        if step is not None:
+            statistics |= {"step": float(step), "estimate_is_quick": True}
+    return count, wall, statistics, tuple(stepper.events)
 
 
 def _record_solution(
-    system: OdeSystem, solution: Any, t: np.ndarray, rows: Sink, auxiliaries: bool
-) -> tuple[dict[str, Any], tuple[Event, ...]]:
+    system: OdeSystem, solution: WholeSolution, t: np.ndarray, rows: Sink, auxiliaries: bool
+) -> tuple[dict[str, object], tuple[Event, ...]]:
     arrays, x = rows.arrays, solution.x
     if isinstance(rows, MemorySink):
         arrays["x"] = x  # no second copy
@@ -272,11 +283,14 @@ def _record_solution(
                 if name in arrays:
                     arrays[name][k] = value
     if auxiliaries and len(t) > 1:
-        n_eta, linear = system.auxiliaries.size, solution.u.copy()
+        eta, u = solution.eta, solution.u
+        if u is None or eta is None:
+            raise DataError("the integrator found no averages of eta and u; auxiliaries=False")
+        n_eta, linear = system.auxiliaries.size, u.copy()
         linear += (system.W_x @ x[:-1].T).T
         if n_eta:
-            linear += (system.W_eta @ solution.eta.T).T
-            arrays["eta"][:, :n_eta] = solution.eta
+            linear += (system.W_eta @ eta.T).T
+            arrays["eta"][:, :n_eta] = eta
         arrays["eta"][:, n_eta:] = np.diff(x, axis=0) / np.diff(t)[:, None] - linear
-        arrays["u"][:] = solution.u
+        arrays["u"][:] = u
     return dict(solution.statistics), tuple(solution.events)

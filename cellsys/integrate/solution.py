@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -32,6 +31,6 @@ class Solution:
     x: np.ndarray
     eta: np.ndarray | None
     u: np.ndarray | None
-    statistics: dict[str, Any]
+    statistics: Mapping[str, float | str | None]
     events: list[Event] = field(default_factory=list)
     estimate: Callable[[], np.ndarray] | None = None

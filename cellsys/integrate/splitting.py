@@ -16,10 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellsys.arguments import checked
+from cellsys.contracts import Integrator
 from cellsys.errors import IntegrationError, ParameterError
 from cellsys.integrate.capabilities import SplitFlows, Splits
 from cellsys.integrate.estimate import estimate_by, estimate_of
-from cellsys.integrate.stepping import Stepper, check_step, steps_of
+from cellsys.integrate.stepping import SampledRun, check_step, steps_of
 from cellsys.system import OdeSystem
 from cellsys.trajectory import ErrorEstimate
 from cellsys.units import real_number
@@ -106,7 +107,7 @@ class Splitting:
         system: OdeSystem,
         t: np.ndarray,
         x: np.ndarray,
-        again: Callable[[Splitting, np.ndarray], np.ndarray],
+        again: Callable[[Integrator, np.ndarray], np.ndarray],
     ) -> Callable[[], ErrorEstimate]:
         """Estimate of a run of samples x (T, n); ``again(method, times)`` runs it anew.
 
@@ -118,7 +119,7 @@ class Splitting:
         return estimate_by(x, lambda: again(self, halves)[::2], "exact flow, two for one")
 
 
-class SplitStepper(Stepper):
+class SplitStepper(SampledRun):
     """A run over two exact flows."""
 
     def __init__(

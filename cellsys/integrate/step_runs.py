@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from cellsys.arguments import checked, unchecked
 from cellsys.contracts import StepSystem, needs
 from cellsys.errors import DataError, DimensionError, IntegrationError, ParameterError
-from cellsys.integrate.capabilities import Refines, StartsRuns
+from cellsys.integrate.capabilities import Refines, StartsRuns, StepRunner
 from cellsys.integrate.estimate import estimate_by
 from cellsys.store.memory import check_memory
 from cellsys.system import Event, Layout
@@ -26,12 +26,15 @@ from cellsys.trajectory import ErrorEstimate, Trajectory
 from cellsys.units import real_array
 
 _OFF = 1e-6  # of a step: times this far from the grid are on it
+_OBSERVED = ("p", "d", "amplitude", "virial", "stiffness")  # what a trajectory has room for
 
 
 class Steps(Protocol):
     """What has a step of its own."""
 
-    dt: float
+    @property
+    def dt(self) -> float:
+        """s."""
 
 
 @checked
@@ -70,12 +73,12 @@ class StepRun:
         """What happened, at the end of the run."""
         return ()
 
-    def statistics(self) -> Mapping[str, Any]:
+    def statistics(self) -> Mapping[str, float]:
         """Counts, at the end of the run."""
         return {}
 
 
-def run_of(system: StepSystem) -> StepRun:
+def run_of(system: StepSystem) -> StepRunner:
     """A fresh run of a system."""
     return system.begin() if isinstance(system, StartsRuns) else StepRun(system)
 
@@ -170,11 +173,21 @@ def simulate_steps(
         held = None if inputs is None else np.repeat(inputs[: marks[-1]], parts, axis=0)
         return _march(run_of(better), x0, held, parts * marks, float(times[0]))
 
+    seen = run.observed(marks, rows)
+    if unknown := sorted(set(seen) - set(_OBSERVED)):
+        raise ParameterError(
+            f"{who}.begin().observed() must return read-outs among {', '.join(_OBSERVED)}, got "
+            f"{unknown[0]!r}"
+        )
     return Trajectory(
         t=times,
         x=rows,
         states=run.recorded,
-        **run.observed(marks, rows),
+        p=seen.get("p"),
+        d=seen.get("d"),
+        amplitude=seen.get("amplitude"),
+        virial=seen.get("virial"),
+        stiffness=seen.get("stiffness"),
         events=tuple(run.events()),
         statistics=statistics,
         label=label,
@@ -194,7 +207,7 @@ def _estimator(
 
 
 def _march(
-    run: StepRun,
+    run: StepRunner,
     x: np.ndarray,
     inputs: np.ndarray | None,
     marks: np.ndarray,

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from itertools import pairwise
 from math import isfinite
+from typing import NoReturn
 
 import numpy as np
 
@@ -45,8 +47,8 @@ def cuts(t0: float, t1: float, step: float, stops: np.ndarray) -> np.ndarray:
 
 
 @checked
-class Stepper:
-    """State of a fixed-step run between two samples.
+class SampledRun(ABC):
+    """State of a run between two samples.
 
     `advance(t1)` moves from `self.t` to t1 and returns the averages of eta and u over the
     interval (zeros from a fixed-step method when `averages` is false). `memory` and `restore`
@@ -72,11 +74,31 @@ class Stepper:
     @unchecked
     def restore(self, memory: dict[str, np.ndarray]) -> None:
         """Take back what `memory` gave."""
+        return None
 
+    @abstractmethod
+    @unchecked
+    def advance(self, t1: float) -> tuple[np.ndarray, np.ndarray]:
+        """Move to t1; returns the averages of eta (n_eta,) and u (n,) over the interval."""
+
+    def fail(self, t: float, dt: float, reason: str | None = None) -> NoReturn:
+        """Raise the typed error, naming the first state that is not finite."""
+        bad = np.flatnonzero(~np.isfinite(self.x))
+        if reason is None:
+            name = self.system.states.names[bad[0]] if bad.size else "the state's norm"
+            reason = f"{type(self).__name__}: {name} is not finite; use a smaller step"
+        norm = float(np.linalg.norm(self.x[np.isfinite(self.x)]))
+        raise IntegrationError(reason, time=t, state_norm=norm, step=dt)
+
+
+@checked
+class Stepper(SampledRun):
+    """State of a fixed-step run between two samples; a method gives `take_step`."""
+
+    @abstractmethod
     @unchecked
     def take_step(self, t: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
         """One step from (t, self.x); returns eta and u of the step."""
-        raise NotImplementedError
 
     @unchecked
     def advance(self, t1: float) -> tuple[np.ndarray, np.ndarray]:
@@ -97,14 +119,5 @@ class Stepper:
         self.t = float(t1)
         return sums[0] / (t1 - t0), sums[1] / (t1 - t0)
 
-    def fail(self, t: float, dt: float, reason: str | None = None) -> None:
-        """Raise the typed error, naming the first state that is not finite."""
-        bad = np.flatnonzero(~np.isfinite(self.x))
-        if reason is None:
-            name = self.system.states.names[bad[0]] if bad.size else "the state's norm"
-            reason = f"{type(self).__name__}: {name} is not finite; use a smaller step"
-        norm = float(np.linalg.norm(self.x[np.isfinite(self.x)]))
-        raise IntegrationError(reason, time=t, state_norm=norm, step=dt)
 
-
-StepperFactory = Callable[[OdeSystem, float, np.ndarray, np.random.Generator], Stepper]
+StepperFactory = Callable[[OdeSystem, float, np.ndarray, np.random.Generator], SampledRun]

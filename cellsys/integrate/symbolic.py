@@ -9,16 +9,21 @@ from __future__ import annotations
 import time as clock
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from cellsys.arguments import checked
+from cellsys.contracts import Integrator
 from cellsys.errors import IntegrationError, ParameterError
+from cellsys.integrate.capabilities import FixedSteps, HasParameters, SymbolicMethod
 from cellsys.integrate.solution import Solution
 from cellsys.integrate.stepping import check_step, steps_of
 from cellsys.system import OdeSystem
 from cellsys.units import real_number
+
+if TYPE_CHECKING:
+    from casadi import Function
 
 _LEAST = 1e-15  # relative error of a step; below it SUNDIALS calls tolerances too small
 
@@ -55,7 +60,7 @@ class CVODES:
         """Integrate over the grid `t`; no step crosses a stop point."""
         return solve_symbolic(self, system, t, x0, averages)
 
-    def options(self, span: float) -> dict[str, Any]:
+    def options(self, span: float) -> dict[str, float]:
         """CasADi's options for a piece of `span` seconds."""
         return _controls(self)
 
@@ -85,7 +90,7 @@ class IDAS:
         """Integrate over the grid `t`; no step crosses a stop point."""
         return solve_symbolic(self, system, t, x0, averages)
 
-    def options(self, span: float) -> dict[str, Any]:
+    def options(self, span: float) -> dict[str, float]:
         """CasADi's options for a piece of `span` seconds."""
         return _controls(self)
 
@@ -124,7 +129,7 @@ class Collocation:
         """Integrate over the grid `t`; no step crosses a stop point."""
         return solve_symbolic(self, system, t, x0, averages)
 
-    def options(self, span: float) -> dict[str, Any]:
+    def options(self, span: float) -> dict[str, float | str | dict[str, float]]:
         """CasADi's options for a piece of `span` seconds."""
         return {
             "number_of_finite_elements": _pieces(span, self.step),
@@ -159,17 +164,17 @@ class RungeKutta4:
         """Integrate over the grid `t`; no step crosses a stop point."""
         return solve_symbolic(self, system, t, x0, averages)
 
-    def options(self, span: float) -> dict[str, Any]:
+    def options(self, span: float) -> dict[str, float]:
         """CasADi's options for a piece of `span` seconds."""
         return {"number_of_finite_elements": _pieces(span, self.step)}
 
 
-def _controls(method: Any) -> dict[str, Any]:
+def _controls(method: CVODES | IDAS) -> dict[str, float]:
     rtol = max(method.local * method.rtol, _LEAST)
     return {"reltol": rtol, "abstol": method.local * method.atol, "max_num_steps": method.max_steps}
 
 
-def _check_tolerances(method: Any) -> None:
+def _check_tolerances(method: CVODES | IDAS) -> None:
     for name in ("rtol", "atol", "max_steps"):
         value = getattr(method, name)
         if not real_number(value, f"{type(method).__name__}.{name}") > 0:
@@ -186,7 +191,7 @@ def _pieces(span: float, step: float) -> int:
 
 
 def solve_symbolic(
-    method: Any, system: OdeSystem, t: np.ndarray, x0: np.ndarray, averages: bool
+    method: SymbolicMethod, system: OdeSystem, t: np.ndarray, x0: np.ndarray, averages: bool
 ) -> Solution:
     """Samples of `system` at `t` by one of the methods above.
 
@@ -202,7 +207,7 @@ def solve_symbolic(
     x = np.empty((T, n))
     x[0] = state = x0
     running = np.zeros((T, n_eta + n))
-    counts: dict[str, Any] = dict.fromkeys(
+    counts: dict[str, int | None] = dict.fromkeys(
         ("steps", "rejected", "rhs", "jacobians", "factorisations"), 0
     )
     built = 0.0
@@ -221,7 +226,9 @@ def solve_symbolic(
         rows = np.flatnonzero(np.isin(edges, t[inside[1] : inside[2]]))
         rows = rows[rows > 0]
         x[inside[1] : inside[2]] = found[rows - 1]
-        _count(counts, F, method, edges)
+        for name, more in _counts(F, method, edges).items():
+            so_far = counts[name]
+            counts[name] = None if more is None or so_far is None else so_far + more
     eta = u = None
     if averages:
         mean = np.diff(running, axis=0) / np.diff(t)[:, None]
@@ -248,14 +255,16 @@ def pieces(t: np.ndarray, stops: np.ndarray) -> list[tuple[np.ndarray, tuple[int
     return out
 
 
-def integrator_of(method: Any, system: OdeSystem, times: np.ndarray, averages: bool) -> Any:
+def integrator_of(
+    method: Integrator | SymbolicMethod, system: OdeSystem, times: np.ndarray, averages: bool
+) -> Function:
     """CasADi integrator from times[0] to the other times; kept with the system.
 
     Outputs: ``xf`` (n, T - 1) and, with `averages`, the running integrals ``qf`` of eta and u.
     """
     import casadi as ca
 
-    if not callable(getattr(method, "options", None)):
+    if not isinstance(method, SymbolicMethod):
         raise ParameterError(
             f"{type(method).__name__} has no derivatives; use CVODES, IDAS, Collocation or "
             "RungeKutta4"
@@ -268,15 +277,15 @@ def integrator_of(method: Any, system: OdeSystem, times: np.ndarray, averages: b
         last = ca.fmin(form.t, float(np.nextafter(times[-1], times[0])))
         xdot, law = ca.substitute([form.xdot, form.eta], [form.t], [last])
         problem = {"x": form.x, "t": form.t, "ode": xdot}
-        if (p := getattr(form, "p", None)) is not None:
-            problem["p"] = p
+        if form.p is not None:
+            problem["p"] = form.p
         if averages:
             n_eta = system.auxiliaries.size
             rest = xdot - ca.DM(system.W_x.toarray()) @ form.x
             if n_eta:
                 rest = rest - ca.DM(system.W_eta.toarray()) @ law
             problem["quad"] = ca.vertcat(*([law] if n_eta else []), rest)
-        options = method.options(float(times[-1] - times[0])) | {"show_eval_warnings": False}
+        options = {**method.options(float(times[-1] - times[0])), "show_eval_warnings": False}
         if len(kept) >= 8:
             kept.pop(next(iter(kept)))
         kept[key] = ca.integrator(
@@ -286,9 +295,11 @@ def integrator_of(method: Any, system: OdeSystem, times: np.ndarray, averages: b
 
 
 def _call(
-    method: Any, system: OdeSystem, F: Any, times: np.ndarray, state: np.ndarray
+    method: SymbolicMethod, system: OdeSystem, F: Function, times: np.ndarray, state: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    values = {} if F.size1_in("p") == 0 else {"p": system.parameter_values}
+    values = {}
+    if isinstance(system, HasParameters) and F.size1_in("p"):
+        values["p"] = system.parameter_values
     name, norm = type(method).__name__, float(np.linalg.norm(state))
     span = float(times[-1] - times[0])
     try:
@@ -310,25 +321,27 @@ def _call(
     return x, np.asarray(out["qf"], dtype=float).T
 
 
-def _count(counts: dict[str, Any], F: Any, method: Any, times: np.ndarray) -> None:
+def _counts(F: Function, method: SymbolicMethod, times: np.ndarray) -> dict[str, int | None]:
     found = F.stats()
     if "nsteps" in found:
-        counts["steps"] += int(found["nsteps"])
-        counts["rhs"] += int(found.get("nfevals", 0))
         # Every linear set-up evaluates the Jacobian and factorises it.
-        counts["jacobians"] += int(found.get("nlinsetups", 0))
-        counts["factorisations"] += int(found.get("nlinsetups", 0))
-        counts["rejected"] += int(found.get("netfails", 0))
-        return
+        names = {
+            "steps": "nsteps",
+            "rejected": "netfails",
+            "rhs": "nfevals",
+            "jacobians": "nlinsetups",
+            "factorisations": "nlinsetups",
+        }
+        return {name: int(found.get(theirs, 0)) for name, theirs in names.items()}
+    if not isinstance(method, FixedSteps) or method.step is None:
+        return dict.fromkeys(("steps", "rejected", "rhs", "jacobians", "factorisations"))
     span = float(times[-1] - times[0])
-    h = span / method.options(span)["number_of_finite_elements"]
+    h = span / _pieces(span, method.step)
     steps = int(np.ceil(np.diff(times) / h * (1 - 1e-12)).sum())
-    counts["steps"] += steps
     if method.plugin == "rk":
-        counts["rhs"] += 4 * steps
-    else:
-        # How often Newton's method of a collocation step calls them CasADi does not tell.
-        counts.update(rhs=None, jacobians=None, factorisations=None)
+        return {"steps": steps, "rhs": 4 * steps}
+    # How often Newton's method of a collocation step calls them CasADi does not tell.
+    return {"steps": steps, "rhs": None, "jacobians": None, "factorisations": None}
 
 
 def _last_line(error: RuntimeError) -> str:

@@ -300,8 +300,8 @@ class WindowSolver:
         """
         counted = Path()
         up = between(self.s, finer.s)
-        w, y = path.w[0], path.y[0][:, 0] if path.y else None
-        worst_y, worst_w = None, []
+        w, y = path.w[0], path.y[0][:, 0]
+        worst_y, worst_w = np.zeros(y.shape), []
         for k, Y in enumerate(path.y):
             found = finer.window(path.lengths[k], w, y, up @ Y, counted)
             if found is None:
@@ -311,7 +311,7 @@ class WindowSolver:
             other, w, _ = found
             y = other[:, -1].copy()
             change = np.abs(other - up @ Y).max(axis=1)
-            worst_y = change if worst_y is None else np.maximum(worst_y, change)
+            worst_y = np.maximum(worst_y, change)
             worst_w.append(w - path.w[k + 1])
         z = np.abs(self.flow.read(np.array(worst_w))).max(axis=0)
         return worst_y, z

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+if TYPE_CHECKING:
+    import casadi
 
-def is_symbolic(*values: Any) -> bool:
+Values = TypeVar("Values", float, np.ndarray)  # of an elementwise law
+Vector = TypeVar("Vector", np.ndarray, "casadi.SX")  # of a law that takes symbols too
+
+
+def is_symbolic(*values: object) -> bool:
     """True when any value is a CasADi expression; CasADi is not imported to find out."""
     return any(type(v).__module__.startswith("casadi") for v in values)
 
 
-def operations(*values: Any) -> Any:
+def operations(*values: object) -> SimpleNamespace:
     """Namespace with dot, cross, sqrt, exp, sin, cos, atan2, tanh, maximum, where, concatenate."""
     if not is_symbolic(*values):
         return _NUMPY

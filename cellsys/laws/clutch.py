@@ -9,19 +9,19 @@ Smooth kinetics of this project, for many bonds per node [notes: mechanics, clut
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+
+from cellsys.laws.arrays import Values
 
 _FLOOR = 0.02  # keeps the load per bond finite as n -> 0
 
 
-def binding_rate(z: Any, k_on: float, height: float, width: float) -> Any:
+def binding_rate(z: Values, k_on: float, height: float, width: float) -> Values:
     """k_on s(z), 1/s, at height z (um) above the substrate; elementwise."""
     return k_on / (1.0 + np.exp(np.minimum((z - height) / width, 60.0)))
 
 
-def unbinding_rate(n: Any, load: Any, k_off0: float, f_b: float) -> Any:
+def unbinding_rate(n: Values, load: Values, k_off0: float, f_b: float) -> Values:
     """k_off, 1/s, for bond strength n and load |f| (pN); elementwise."""
     ratio = load / ((n + _FLOOR) * f_b)
     return k_off0 * (1.0 + ratio * ratio)

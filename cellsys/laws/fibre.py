@@ -11,9 +11,11 @@ rho = 1 and e_s = NEVER is the linear law. The slope at rest is (1 + rho)/2.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+
+from cellsys.laws.arrays import Values
 
 NEVER = 1e30  # a strain no fibre reaches: finite, so that 0/onset stays 0
 
@@ -27,7 +29,9 @@ class FibreLaw(NamedTuple):
     growth: float
 
 
-def axial(e: Any, rho: float, blend: float, onset: float, growth: float) -> tuple[Any, Any]:
+def axial(
+    e: Values, rho: float, blend: float, onset: float, growth: float
+) -> tuple[Values, Values]:
     """(g, dg/de) at strain e; elementwise, dimensionless."""
     root = np.sqrt(e * e + blend * blend)
     over = np.maximum(e - onset, 0.0)
@@ -38,7 +42,7 @@ def axial(e: Any, rho: float, blend: float, onset: float, growth: float) -> tupl
     return g, slope
 
 
-def axial_energy(e: Any, rho: float, blend: float, onset: float, growth: float) -> Any:
+def axial_energy(e: Values, rho: float, blend: float, onset: float, growth: float) -> Values:
     """Integral of g from 0 to e; elementwise, dimensionless."""
     root = np.sqrt(e * e + blend * blend)
     over = np.maximum(e - onset, 0.0)

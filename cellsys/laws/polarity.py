@@ -9,14 +9,13 @@ tan(theta/2) = tan(theta_0/2) exp(-kappa |p| |d| t), which gives an exact step.
 from __future__ import annotations
 
 from math import hypot
-from typing import Any
 
 import numpy as np
 
-from cellsys.laws.arrays import operations
+from cellsys.laws.arrays import Vector, operations
 
 
-def rate(p: Any, d: Any, kappa: float) -> Any:
+def rate(p: Vector, d: Vector, kappa: float | Vector) -> Vector:
     """dp/dt of thesis eq. 72, for numpy (3,) or CasADi (3, 1) vectors; same unit as kappa p."""
     ops = operations(p, d)
     return kappa * (d * ops.dot(p, p) - p * ops.dot(p, d))
@@ -90,7 +89,7 @@ def _dots(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("ki,ki->k", a, b)
 
 
-def heading_features(p: Any, order: int = 2) -> Any:
+def heading_features(p: Vector, order: int = 2) -> Vector:
     """cos and sin of the heading angle about the substrate normal, up to `order`.
 
     (cos theta, sin theta, cos 2 theta, sin 2 theta, ...) with (cos, sin) = p_xy / |p_xy|: the

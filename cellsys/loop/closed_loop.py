@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -31,17 +31,22 @@ from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.integrate.semilinear import Semilinear
 from cellsys.integrate.simulate import simulate
 from cellsys.integrate.symbolic import CVODES
-from cellsys.laws.arrays import operations
+from cellsys.kinds import shown
+from cellsys.laws.arrays import Vector, operations
 from cellsys.laws.polarity import heading_features
 from cellsys.loop.loop_system import ClosedLoopSystem, model_error, semilinear_of
 from cellsys.loop.modal import set_apart_text, split_slow
 from cellsys.loop.polarity import PolarityLaw
+from cellsys.model.poles import KnowsCertainty
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.samples.commands import feature_of
 from cellsys.state_space import state_space
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 from cellsys.units import real_array
+
+if TYPE_CHECKING:
+    from control import StateSpace
 
 
 @checked
@@ -126,7 +131,7 @@ class ClosedLoop:
         """m."""
         return self.model.order
 
-    def commands(self, p: Any) -> Any:
+    def commands(self, p: Vector) -> Vector:
         """Inputs c(p) of the model, numpy or CasADi."""
         parts = [feature_of(name) for name in self.model.input_names]
         values = heading_features(p, max((q for _, q, _ in parts), default=1) or 1)
@@ -136,7 +141,7 @@ class ClosedLoop:
         ]
         return operations(p).concatenate(chosen)
 
-    def sensed(self, z: Any) -> Any:
+    def sensed(self, z: Vector) -> Vector:
         """d as the law uses it, numpy or CasADi."""
         raw = self.sensor.K_d[:, 0] + self.sensor.S_d @ z
         if not self.normalise:
@@ -156,13 +161,10 @@ class ClosedLoop:
         A, B, b = self.model.continuous_matrices()
         m, loop = self.order, self
 
-        def forcing(t: Any, x: Any) -> list:
+        def forcing(t: object, x: Vector) -> Vector:
             z, p = x[:m], x[m:]
-            return [B @ loop.commands(p) + b, loop.controller.rate(p, loop.sensed(z))]
-
-        def numeric(t: Any, x: Any) -> Any:
-            parts = forcing(t, x)
-            return parts if operations(x) is not operations(0.0) else np.concatenate(parts)
+            parts = [B @ loop.commands(p) + b, loop.controller.rate(p, loop.sensed(z))]
+            return operations(x).concatenate(parts)
 
         W = np.zeros((m + 3, m + 3))
         W[:m, :m] = A
@@ -172,7 +174,7 @@ class ClosedLoop:
             ),
             x0=np.concatenate([self.z0, self.p0]),
             W_x=sp.csr_array(W),
-            forcing=numeric,
+            forcing=forcing,
         )
         object.__setattr__(system, "loop", self)
         return system
@@ -200,7 +202,7 @@ class ClosedLoop:
             model_error=model_error(self.model),
         )
 
-    def linearize(self, at: Any = None, *, slower_than: float = 0.0) -> Linearisation:
+    def linearize(self, at: object = None, *, slower_than: float = 0.0) -> Linearisation:
         """Linearise about a point.
 
         Parameters
@@ -239,7 +241,9 @@ class ClosedLoop:
             [A @ z + B @ np.asarray(self.commands(p)) + b, self.controller.rate(p, d)]
         )
         residual = float(np.linalg.norm(rate)) / max(1.0, float(np.linalg.norm(z)))
-        known = self.model.certainty() if slower_than > 0 else None
+        known = None
+        if slower_than > 0 and isinstance(self.model, KnowsCertainty):
+            known = self.model.certainty()
         A, B_heading, S, slow = split_slow(A, B_heading[:, None], S[None], slower_than, known)
         B_heading, S = B_heading[:, 0], S[0]
         closed = np.block([[A, B_heading[:, None]], [kappa * S[None], -kappa * strength]])
@@ -266,7 +270,7 @@ class ClosedLoop:
             slope.append(q * turned.get(kind, 0.0))
         return np.array(slope)
 
-    def open_loop(self, at: Any = None) -> Any:
+    def open_loop(self, at: object = None) -> StateSpace:
         """Return ratio for negative feedback, cut at kappa, as `control.StateSpace`.
 
         Its gain margin is the factor on kappa. States z and xi, input v, output y:
@@ -292,7 +296,7 @@ class ClosedLoop:
             name="return_ratio_kappa",
         )
 
-    def _point(self, at: Any) -> tuple[np.ndarray, np.ndarray]:
+    def _point(self, at: object) -> tuple[np.ndarray, np.ndarray]:
         if isinstance(at, str) and at != "equilibrium":
             raise ParameterError(
                 f"at must be a time, a trajectory, (z, p) or 'equilibrium', got {at!r}"
@@ -314,7 +318,11 @@ class ClosedLoop:
                     f"which has {self.order} latent states and p"
                 )
             return np.asarray(at.x[-1, : self.order]), np.asarray(at.x[-1, self.order :])
-        z, p = (np.asarray(v, dtype=float) for v in at)
+        if not (isinstance(at, (tuple, list)) and len(at) == 2):
+            raise ParameterError(
+                f"at must be a time, a trajectory, (z, p) or 'equilibrium', got {shown(at)}"
+            )
+        z, p = real_array(at[0], "z"), real_array(at[1], "p")
         if z.shape != (self.order,) or p.shape != (3,):
             raise DimensionError(
                 f"at must be (z ({self.order},), p (3,)), got {z.shape}, {p.shape}"

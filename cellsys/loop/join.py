@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, overload
+from collections.abc import Mapping
+from typing import overload
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,7 +13,7 @@ from cellsys.cell.model import EquivariantModel
 from cellsys.contracts import LinearModel
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.integrate.parameter_sensitivities import ParametricSystem
-from cellsys.laws.arrays import operations
+from cellsys.laws.arrays import Vector, operations
 from cellsys.laws.polarity import rate as polarity_rate
 from cellsys.loop.closed_loop import ClosedLoop, check_point
 from cellsys.loop.loop_system import LoopCopies
@@ -97,7 +98,7 @@ def closed_loop(
         When the model has no sensor, or inputs that are not heading features of one cell.
     """
     sensor = model.sensor if sensor is None else sensor
-    if not hasattr(sensor, "S_d"):
+    if not isinstance(sensor, StiffnessSensor):
         had = "the model has no sensor" if sensor is None else f"got {type(sensor).__name__}"
         raise ParameterError(f"{had}; sensor must be a StiffnessSensor: fit one or pass sensor=")
     if sensor.S_d.shape[1] != model.order:
@@ -167,7 +168,7 @@ def parametric_loop(loop: ClosedLoop) -> ParametricSystem:
     A, B, b = loop.model.continuous_matrices()
     m = loop.order
 
-    def rate(t: Any, x: Any, p: Any) -> Any:
+    def rate(t: object, x: Vector, p: Mapping[str, Vector]) -> Vector:
         z, heading = x[:m], x[m:]
         turn = polarity_rate(heading, loop.sensed(z), p["kappa"])
         push = p["force"] * (B @ loop.commands(heading)) + b

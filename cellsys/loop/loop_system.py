@@ -3,21 +3,59 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
+from cellsys.contracts import LinearModel, ReducedModel
 from cellsys.integrate.semilinear import Semilinear
 from cellsys.laws.polarity import heading_rows, rate_rows
+from cellsys.loop.polarity import PolarityLaw
+from cellsys.model.sensor import StiffnessSensor
 from cellsys.system import OdeSystem, SymbolicForm
 
 _NAMES = ("cos", "sin", "cos2", "sin2", "amplitude")
 
 
+class PolarLoop(Protocol):
+    """A loop of a plant that is the same at all times, made by cs.closed_loop(model)."""
+
+    @property
+    def model(self) -> LinearModel:
+        """The plant."""
+
+    @property
+    def controller(self) -> PolarityLaw:
+        """The law of the heading."""
+
+    @property
+    def sensor(self) -> StiffnessSensor:
+        """K_d."""
+
+    @property
+    def normalise(self) -> bool:
+        """Whether |d| = 1."""
+
+    @property
+    def order(self) -> int:
+        """m of the plant."""
+
+    @property
+    def semilinear(self) -> Semilinear:
+        """See `semilinear_of`; made once."""
+
+    @property
+    def system(self) -> OdeSystem:
+        """The loop as a system."""
+
+    def sensed(self, z: np.ndarray) -> np.ndarray:
+        """d as the law uses it."""
+
+
 class ClosedLoopSystem(OdeSystem):
     """State [z; p]; reports p and d with every sample."""
 
-    loop: Any
+    loop: PolarLoop
 
     def observe(self, t: float, x: np.ndarray) -> dict[str, np.ndarray]:
         loop = self.loop
@@ -33,18 +71,18 @@ class ClosedLoopSystem(OdeSystem):
         return self.loop.semilinear
 
 
-def sensed_rows(loop: Any, z: np.ndarray) -> np.ndarray:
+def sensed_rows(loop: PolarLoop, z: np.ndarray) -> np.ndarray:
     """`loop.sensed` for rows of latent states: (..., m) -> (..., 3)."""
     return _scaled(loop, loop.sensor.K_d[:, 0] + z @ loop.sensor.S_d.T)
 
 
-def _scaled(loop: Any, raw: np.ndarray) -> np.ndarray:
+def _scaled(loop: PolarLoop, raw: np.ndarray) -> np.ndarray:
     if not loop.normalise:
         return raw
     return raw / np.sqrt(np.vecdot(raw, raw) + 1e-300)[..., None]
 
 
-def semilinear_of(loop: Any) -> Semilinear:
+def semilinear_of(loop: PolarLoop) -> Semilinear:
     """z' = A z + B c(p) + b and p' = kappa p x (d x p), with d from K_d [1; z]."""
     A, B, b = loop.model.continuous_matrices()
     chosen = [_NAMES.index(name.split(".")[-1]) for name in loop.model.input_names]
@@ -71,7 +109,7 @@ def semilinear_of(loop: Any) -> Semilinear:
     )
 
 
-def model_error(model: Any) -> dict[str, float]:
+def model_error(model: ReducedModel) -> dict[str, float]:
     """The model's part of a run's error: relative roll-out errors on its card, by block."""
     card = model.card
     if card is None:
@@ -86,7 +124,7 @@ class LoopCopies(OdeSystem):
     Built by `loop_copies`. Printed superposition (thesis eq. 36) is this up to an output mixing.
     """
 
-    loop: Any
+    loop: PolarLoop
     cells: int
 
     def u(self, t: float, x: np.ndarray) -> np.ndarray:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.kinds import Seed
-from cellsys.laws.arrays import is_symbolic
+from cellsys.laws.arrays import Vector, is_symbolic
 from cellsys.laws.polarity import exact_step, rate
 from cellsys.units import real_array, real_number
 
@@ -73,19 +72,19 @@ class PolarityLaw:
                 f"PolarityLaw.kappa must be finite and >= 0 1/s, got {self.kappa!r}"
             )
 
-    def rate(self, p: Any, d: Any) -> Any:
+    def rate(self, p: Vector, d: Vector) -> Vector:
         """dp/dt (3,), numpy or CasADi; p and d (3,), `DimensionError` or `DataError` otherwise.
 
         NaN and inf go through: an integrator that tries them names time, state and step.
         """
         if is_symbolic(p, d):
             return rate(p, d, self.kappa)
-        p, d = self._vectors(p, d)
+        vectors: tuple = self._vectors(p, d)
         with np.errstate(over="ignore", invalid="ignore"):
-            return rate(p, d, self.kappa)
+            return rate(vectors[0], vectors[1], self.kappa)
 
     @staticmethod
-    def _vectors(p: Any, d: Any) -> tuple[np.ndarray, np.ndarray]:
+    def _vectors(p: object, d: object) -> tuple[np.ndarray, np.ndarray]:
         p, d = real_array(p, "p"), real_array(d, "d")
         if p.shape != (3,) or d.shape != (3,):
             raise DimensionError(f"p and d must have shape (3,), got {p.shape} and {d.shape}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.integrate.record import check_times
 from cellsys.integrate.simulate import simulate
 from cellsys.integrate.step_runs import marks_of, refuse_integrator
-from cellsys.loop.closed_loop import ClosedLoop
+from cellsys.loop.closed_loop import ClosedLoop, Linearisation
 from cellsys.loop.loop_system import model_error
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.loop.scheduled_system import ScheduledSystem
@@ -28,6 +28,9 @@ from cellsys.model.network_sensor import LocalSensor
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.response import Margins, margins
 from cellsys.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from control import StateSpace
 
 
 @checked
@@ -105,7 +108,7 @@ class ScheduledLoop:
             model=self.model, controller=self.controller, sensor=self.sensor, x0=start
         )
 
-    def linearize(self, at: float | None = None, *, slower_than: float = 0.0) -> Any:
+    def linearize(self, at: float | None = None, *, slower_than: float = 0.0) -> Linearisation:
         """`Linearisation` of the loop with the plant frozen at time `at` (default: the end).
 
         About the state the loop has then; see `ClosedLoop.linearize` for the rest.
@@ -119,7 +122,7 @@ class ScheduledLoop:
         point = (run.x[-1, : self.order], run.x[-1, self.order :])
         return self.frozen(end, point[0]).linearize(point, slower_than=slower_than)
 
-    def open_loop(self, at: Any = None) -> Any:
+    def open_loop(self, at: Linearisation | float | None = None) -> StateSpace:
         """Return ratio at a `Linearisation` or a time; see `ClosedLoop.open_loop`."""
         point = self.linearize(at) if at is None or isinstance(at, (int, float)) else at
         return self.frozen(self.model.horizon).open_loop(point)

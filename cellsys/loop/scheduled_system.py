@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -168,6 +167,6 @@ class ScheduledRun(StepRun):
             "the cell",
         )
 
-    def statistics(self) -> Mapping[str, Any]:
+    def statistics(self) -> Mapping[str, float]:
         """What an estimate costs over the run."""
         return {"estimate_factor": 4.0}

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,9 +21,12 @@ from cellsys.response.certainty import PoleCertainty
 from cellsys.response.roots import RootSet
 from cellsys.state_space import state_space
 
+if TYPE_CHECKING:
+    from control import StateSpace
+
 
 @checked
-class AffineModel(Drawable):
+class AffineModel(Drawable, ABC):
     """A reduced affine model, continuous or the generator of a step.
 
         dt is None :  z' = A z + B c + b
@@ -93,6 +98,28 @@ class AffineModel(Drawable):
         """The poles, 1/s, each with a bound: the larger of rounding and `certainty`."""
         return pole_set(self.A, self.dt, self.certainty())
 
+    # What its coordinates are
+
+    @abstractmethod
+    def encode(self, x: np.ndarray, eta: np.ndarray | None = None) -> np.ndarray:
+        """Latent states of samples of the full-order states (n,) or (T, n)."""
+
+    @abstractmethod
+    def reconstruct(self, z: np.ndarray) -> np.ndarray:
+        """Samples of latent states (m,) or (T, m)."""
+
+    @abstractmethod
+    def predict(self, z0: np.ndarray, u: np.ndarray | None, t: np.ndarray) -> np.ndarray:
+        """Latent states (T, m) at the times t from z0 under the commands u."""
+
+    @abstractmethod
+    def at(self, t: float) -> AffineModel:
+        """The model frozen at time t, s."""
+
+    @abstractmethod
+    def save(self, path: str | Path) -> Path:
+        """Write the model to a file, atomically; returns its path."""
+
     # Control
 
     def plant(
@@ -101,7 +128,7 @@ class AffineModel(Drawable):
         discrete: bool = False,
         output: np.ndarray | None = None,
         output_names: Sequence[str] | None = None,
-    ) -> Any:
+    ) -> StateSpace:
         """The model as `control.StateSpace` with named states, inputs and outputs.
 
         Parameters

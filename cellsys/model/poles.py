@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import scipy.linalg as sla
@@ -69,6 +70,14 @@ def pole_set(A: np.ndarray, dt: float | None, certainty: PoleCertainty | None) -
     """Continuous poles, 1/s, by falling real part; bounds the larger of rounding and data."""
     found = widened(continuous_spectrum(A, dt), certainty, 0.0)
     return poles_of(found, 0.0, "" if certainty is None else data_note(certainty))
+
+
+@runtime_checkable
+class KnowsCertainty(Protocol):
+    """A model that knows what its data leave open of its poles, made by cs.reduce."""
+
+    def certainty(self) -> PoleCertainty | None:
+        """How far each pole moves when a part of the data is left out; None where not known."""
 
 
 def fastest_growth(found: RootSet) -> tuple[float, float]:

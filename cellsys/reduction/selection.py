@@ -20,6 +20,7 @@ from cellsys.contracts import Reductor
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, ParameterError
 from cellsys.kinds import Seed
+from cellsys.model.card import card_of
 from cellsys.model.latent import LatentModel
 from cellsys.reduction.basis import check_order
 from cellsys.reduction.comparison import measured, refuse_shared_runs
@@ -344,7 +345,7 @@ def learning_curve(
         for k, count in enumerate(counts):
             if count == n and d > 0:
                 continue
-            card = reduce(_of(train, dealt[:count]), order=order, method=method, test=test).card
+            card = card_of(reduce(_of(train, dealt[:count]), order=order, method=method, test=test))
             for side, part in enumerate((card.held_out, card.training)):
                 value = float(next(iter(part.values()))["model"])
                 errors[side, k, d] = value if value < 1e6 else np.inf

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from typing import Any
 
 import numpy as np
 
 from cellsys.errors import DataError
+from cellsys.laws.arrays import Values
 from cellsys.laws.polarity import heading_features
 from cellsys.trajectory import Trajectory
 
@@ -57,7 +57,7 @@ def feature_of(name: str) -> tuple[str, int, int]:
     return found
 
 
-def harmonic_value(name: str, amplitude: Any, theta: Any) -> Any:
+def harmonic_value(name: str, amplitude: Values, theta: Values) -> Values:
     """Value of a feature for an amplitude and a heading theta, rad (arrays alike)."""
     kind, q, power = feature_of(name)
     if kind == "amplitude":

@@ -101,9 +101,9 @@ def _from_trajectories(runs: list[Trajectory], scale: str) -> Snapshots:
     )  # fmt: skip
 
 
-def _columns(array: Any, keep: np.ndarray) -> Any:
+def _columns(array: np.ndarray | None, keep: np.ndarray) -> Any:
     """Chosen columns; a view when they are contiguous, so that memory maps stay on disk."""
-    if len(keep) == array.shape[1]:
+    if array is None or len(keep) == array.shape[1]:
         return array
     if len(keep) and keep[-1] - keep[0] + 1 == len(keep):
         return array[:, keep[0] : keep[-1] + 1]
@@ -113,7 +113,7 @@ def _columns(array: Any, keep: np.ndarray) -> Any:
 class _Selected:
     """Columns of a (memory-mapped) array, taken when rows are asked for."""
 
-    def __init__(self, array: Any, keep: np.ndarray) -> None:
+    def __init__(self, array: np.ndarray, keep: np.ndarray) -> None:
         self._array, self._keep = array, keep
         self.shape = (array.shape[0], len(keep))
         self.ndim = 2
@@ -121,7 +121,7 @@ class _Selected:
     def __len__(self) -> int:
         return self.shape[0]
 
-    def __getitem__(self, rows: Any) -> np.ndarray:
+    def __getitem__(self, rows: slice | np.ndarray | tuple) -> np.ndarray:
         if isinstance(rows, tuple):  # (rows, columns): only those are read
             rows, columns = rows
             keep = self._keep[columns]
@@ -130,7 +130,7 @@ class _Selected:
             return np.asarray(self._array[rows])[..., keep]
         return np.take(np.asarray(self._array[rows]), self._keep, axis=-1)
 
-    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+    def __array__(self, dtype: np.dtype | None = None, copy: bool | None = None) -> np.ndarray:
         return np.asarray(self[:], dtype=dtype)
 
 

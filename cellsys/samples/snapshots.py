@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -93,7 +93,7 @@ class Snapshots:
     W_eta: sp.csr_array
     command_names: tuple[str, ...] = ()
     scale: str = "block"
-    source: Mapping[str, Any] = field(default_factory=dict)
+    source: Mapping[str, object] = field(default_factory=dict)
     geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     _made_by: ClassVar[str] = "cs.snapshots([...])"
@@ -257,7 +257,7 @@ class Snapshots:
         return [np.concatenate(parts) for parts in owners.values()]
 
 
-def _take(array: Any, rows: np.ndarray) -> np.ndarray:
+def _take(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Rows of an array; a slice, hence no copy, when they are consecutive."""
     if len(rows) and rows[-1] - rows[0] + 1 == len(rows):
         return read_rows(array, int(rows[0]), int(rows[-1]) + 1)

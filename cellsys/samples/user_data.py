@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,9 +18,11 @@ from cellsys.store.regular import open_regular
 from cellsys.system import Block, Layout
 from cellsys.units import real_array, real_number, shaped_array
 
+_Said = TypeVar("_Said", float, np.ndarray, tuple[str, ...])  # what a file says of all runs
+
 
 def from_user(
-    runs: list[Any],
+    runs: Sequence[object],
     scale: str,
     dt: float | None,
     blocks: Mapping[str, Sequence[int]] | None,
@@ -28,7 +30,11 @@ def from_user(
     """See `cellsys.snapshots`: arrays (T, n), `RunData`, ``.npz`` and ``.csv`` files."""
     data: list[RunData] = []
     names: tuple[str, ...] | None = None
-    said: dict[str, tuple[Any, str]] = {} if dt is None else {"dt": (real_number(dt, "dt"), "dt")}
+    steps: dict[str, tuple[float, str]] = {}
+    columns: dict[str, tuple[tuple[str, ...], str]] = {}
+    matrices: dict[str, tuple[np.ndarray, str]] = {}
+    if dt is not None:
+        steps["dt"] = real_number(dt, "dt"), "dt"
     for i, run in enumerate(runs):
         if isinstance(run, RunData):
             data.append(run)
@@ -45,7 +51,9 @@ def from_user(
         if kind == ".csv":
             table = read_csv(path)
             data.append(RunData(x=table.x, label=path.name))
-            found: dict[str, Any] = {"dt": table.step, "names of columns": table.names}
+            step = table.step
+            if table.names is not None:
+                _agree(columns, "names of columns", table.names, path.name)
             names = table.names or names
         elif kind == ".npz":
             arrays = _read_npz(path)
@@ -58,15 +66,17 @@ def from_user(
                     label=path.name,
                 )
             )
-            found = {"dt": _step(arrays, path)} | {k: arrays.get(k) for k in ("W_x", "W_eta")}
+            step = _step(arrays, path)
+            for what in ("W_x", "W_eta"):
+                if what in arrays:
+                    _agree(matrices, what, arrays[what], path.name)
         else:
             raise ParameterError(f"run {i}: {path.name!r} is neither .npz nor .csv")
-        for what, value in found.items():
-            if value is not None:
-                _agree(said, what, value, path.name)
-    if "dt" not in said:
+        if step is not None:
+            _agree(steps, "dt", step, path.name)
+    if "dt" not in steps:
         raise ParameterError(_no_interval(data, names))
-    W_x, W_eta = (said[k][0] if k in said else None for k in ("W_x", "W_eta"))
+    W_x, W_eta = (matrices[k][0] if k in matrices else None for k in ("W_x", "W_eta"))
     for i, each in enumerate(data):
         for name in _OF_RUNS:
             value = getattr(each, name)
@@ -89,7 +99,7 @@ def from_user(
         auxiliaries=Layout(
             [Block("eta", (n_eta,), "1", role="component", kind="rate")] if n_eta else []
         ),
-        dt=said["dt"][0],
+        dt=steps["dt"][0],
         W_x=sp.csr_array((n, n)) if W_x is None else sp.csr_array(np.asarray(W_x, float)),
         W_eta=sp.csr_array((n, n_eta)) if W_eta is None else sp.csr_array(np.asarray(W_eta, float)),
         command_names=tuple(f"command[{k}]" for k in range(n_commands)),
@@ -124,13 +134,13 @@ def _permuted(run: RunData, order: np.ndarray) -> RunData:
     return dataclasses.replace(run, x=np.asarray(run.x)[:, order], u=u)
 
 
-def _agree(said: dict[str, tuple[Any, str]], what: str, value: Any, where: str) -> None:
+def _agree(said: dict[str, tuple[_Said, str]], what: str, value: _Said, where: str) -> None:
     """Keep what one file says of all runs; DataError where another said something else."""
     if what not in said:
         said[what] = value, where
         return
     before, there = said[what]
-    if what == "dt":
+    if isinstance(value, float) and isinstance(before, float):
         if abs(value - before) > EQUAL * before:
             other = "dt=" if there == "dt" else there
             raise DataError(
@@ -161,7 +171,7 @@ def _read_npz(path: Path) -> dict[str, np.ndarray]:
         # Opened here: np.load leaves the file open when it is not a zip archive after all.
         with open_regular(path) as file:
             archive = np.load(file, allow_pickle=False)
-            if not hasattr(archive, "files"):
+            if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise FileFormatError(f"{path.name} holds one bare array, not named ones")
             check_members(archive, path)
             with archive:
@@ -195,12 +205,16 @@ def _read_npz(path: Path) -> dict[str, np.ndarray]:
 
 def _step(arrays: Mapping[str, np.ndarray], path: Path) -> float | None:
     """Sampling interval of an npz file, s; None where it says none."""
-    said: dict[str, tuple[Any, str]] = {}
+    said: dict[str, tuple[float, str]] = {}
+    step = None
     if "dt" in arrays:
-        _agree(said, "dt", real_number(arrays["dt"].item(), f"{path.name}: dt"), f"{path.name}: dt")
+        step = real_number(arrays["dt"].item(), f"{path.name}: dt")
+        _agree(said, "dt", step, f"{path.name}: dt")
     if "t" in arrays:
         times = shaped_array(arrays["t"], f"{path.name}: t", (None,))
         if len(times) < 3:
             raise DataError(f"{path.name}: {len(times)} samples; a run needs at least three")
-        _agree(said, "dt", interval(times, path.name), f"{path.name}: t")
-    return said["dt"][0] if said else None
+        spacing = interval(times, path.name)
+        _agree(said, "dt", spacing, f"{path.name}: t")
+        step = spacing if step is None else step
+    return step

@@ -72,7 +72,9 @@ def save_archive(
             raise FileFormatError(f"array {name!r} holds objects; only numbers can be stored")
     header = json.dumps({"kind": kind, "version": version, "metadata": dict(metadata)})
     with atomic_path(target) as temporary, temporary.open("wb") as file:
-        np.savez(file, **{_HEADER: np.array(header)}, **dict(arrays))
+        # An array called allow_pickle would be taken for numpy's option.
+        stored: dict[str, Any] = {_HEADER: np.array(header), **arrays}
+        np.savez(file, **stored)
     return target
 
 
@@ -83,6 +85,8 @@ def check_members(archive: np.lib.npyio.NpzFile, source: Path) -> None:
     ------
     FileFormatError
     """
+    if archive.zip is None:
+        raise FileFormatError(f"{source.name!r} is closed; open it again")
     entries = archive.zip.infolist()
     names = Counter(i.filename.removesuffix(".npy") for i in entries)
     if twice := [name for name, times in names.items() if times > 1]:
@@ -137,7 +141,7 @@ def _read(source: Path, arrays: bool = True) -> tuple[dict[str, np.ndarray], dic
         # Opened here: np.load leaves the file open when it is not a zip archive after all.
         with open_regular(source) as file:
             archive = np.load(file, allow_pickle=False)
-            if not hasattr(archive, "files") or _HEADER not in archive.files:
+            if not isinstance(archive, np.lib.npyio.NpzFile) or _HEADER not in archive.files:
                 raise FileFormatError(
                     f"{source.name!r} was not written by cellsys: it has no {_HEADER!r} header"
                 )

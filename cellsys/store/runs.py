@@ -16,7 +16,7 @@ import shutil
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -108,7 +108,7 @@ class RunWriter:
         self,
         folder: str | Path,
         shapes: Mapping[str, tuple[int, ...]],
-        header: Mapping[str, Any],
+        header: Mapping[str, object],
         *,
         patience: float | None = None,
     ) -> None:
@@ -123,7 +123,7 @@ class RunWriter:
         if not self.resumed:
             self._create()
 
-    def _describe(self) -> dict[str, Any]:
+    def _describe(self) -> dict[str, object]:
         return {
             "schema": _SCHEMA,
             "header": self.header,
@@ -186,7 +186,7 @@ class RunWriter:
         """
         self._hold.check()
 
-    def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
+    def checkpoint(self, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, object]) -> None:
         """Make all rows written so far durable and remember how to go on from here."""
         self.check()
         for array in self.arrays.values():
@@ -200,7 +200,7 @@ class RunWriter:
         except (FileNotFoundError, FileFormatError):
             return None
 
-    def finish(self, metadata: Mapping[str, Any]) -> Path:
+    def finish(self, metadata: Mapping[str, object]) -> Path:
         """Close the arrays and give the folder its final name.
 
         Raises
@@ -307,11 +307,20 @@ class RunReader:
                 )
 
 
-def _mapped(array: Any) -> np.memmap | None:
+class _Mapped(NamedTuple):
+    """A read-only memory map: its array, its pages, and the file behind them."""
+
+    rows: np.memmap
+    pages: mmap.mmap
+    file: str
+
+
+def _mapped(array: object) -> _Mapped | None:
     """The read-only memory map that an array is a view of, or None."""
     while array is not None:
         if isinstance(array, np.memmap) and isinstance(array.base, mmap.mmap):
-            return array if array.mode == "r" else None
+            known = array.mode == "r" and array.filename is not None
+            return _Mapped(array, array.base, str(array.filename)) if known else None
         array = getattr(array, "base", None)
     return None
 
@@ -325,19 +334,26 @@ def read_rows(array: np.ndarray, start: int, stop: int) -> np.ndarray:
     """
     if not np.ndim(array):
         raise DimensionError("array must have rows, got a single number")
-    owner = _mapped(array)
-    if owner is None or owner.ndim != 2 or np.ndim(array) != 2 or array.strides != owner.strides:
+    found = _mapped(array)
+    owner = None if found is None else found.rows
+    if (
+        found is None
+        or owner is None
+        or owner.ndim != 2
+        or np.ndim(array) != 2
+        or array.strides != owner.strides
+    ):
         return array[start:stop]
     width, size = owner.shape[1], owner.dtype.itemsize
     skipped, column = divmod((array.ctypes.data - owner.ctypes.data) // size, width)
     rows = min(stop, len(array)) - start
     try:
-        with open(owner.filename, "rb") as file:
+        with open(found.file, "rb") as file:
             offset = owner.offset + (skipped + start) * width * size
             block = np.fromfile(file, owner.dtype, rows * width, offset=offset)
     except FileNotFoundError as error:
         raise LostRunError(
-            f"the file {str(owner.filename)!r} of a run was removed while the run was in use; run "
+            f"the file {found.file!r} of a run was removed while the run was in use; run "
             "its scene again"
         ) from error
     return block.reshape(rows, width)[:, column : column + array.shape[1]]
@@ -352,4 +368,4 @@ def release(array: np.ndarray | None) -> None:
     """
     owner = _mapped(array)
     if owner is not None and hasattr(mmap, "MADV_DONTNEED"):
-        owner.base.madvise(mmap.MADV_DONTNEED)
+        owner.pages.madvise(mmap.MADV_DONTNEED)

@@ -12,7 +12,8 @@ import numpy as np
 from cellsys.contracts import ReducedModel
 from cellsys.drawable import Drawable
 from cellsys.errors import IntegrationError
-from cellsys.reduction import reduce_orders
+from cellsys.model.card import card_of
+from cellsys.reduction import PCR, LeastSquares, reduce_orders
 from cellsys.response import Margins
 from cellsys.samples import Snapshots
 from cellsys.study.coordinates import Coordinates
@@ -68,7 +69,7 @@ def sweep_orders(
     data: Snapshots,
     test: Snapshots,
     coordinates: Coordinates,
-    methods: Sequence[Any],
+    methods: Sequence[PCR | LeastSquares],
     orders: Sequence[int],
     full_order_s: float,
     progress: Callable[[float], None] | None = None,
@@ -83,7 +84,8 @@ def sweep_orders(
         strict=True,
     ):
         models[name, order] = model
-        held = model.card.held_out
+        card = card_of(model)
+        held = card.held_out
         rows.append(
             OrderRow(
                 method=name,
@@ -94,9 +96,9 @@ def sweep_orders(
                     b: {k: v[k] for k in ("nothing moves", "mean velocity", "mean motion")}
                     for b, v in held.items()
                 },
-                abscissa=model.card.spectral_abscissa,
+                abscissa=card.spectral_abscissa,
                 roll_out_ms=1e3 * _price(model, test),
-                verdict=model.card.verdict,
+                verdict=card.verdict,
             )
         )
         if progress is not None:
