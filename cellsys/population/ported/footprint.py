@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sla
-import scipy.sparse as sp
 
 from cellsys.arguments import checked
 from cellsys.contracts import MatrixField
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.shown import Shown
+from cellsys.system import is_sparse
 from cellsys.units import real_array
 
 
@@ -155,7 +155,7 @@ class RestPassivity(Shown):
 def dense_stiffness(field: MatrixField) -> np.ndarray:
     """Hess U at rest (order, order) as a dense array, pN/um."""
     K = field.stiffness
-    return np.asarray(K.toarray() if sp.issparse(K) else K, dtype=float)
+    return np.asarray(K.toarray() if is_sparse(K) else K, dtype=float)
 
 
 def field_passivity(field: MatrixField) -> RestPassivity:
