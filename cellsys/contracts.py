@@ -13,6 +13,7 @@ import numpy as np
 
 from cellsys.answers import DistinctPoles, Measured, OutsideRange, SteppedRun, WholeSolution
 from cellsys.arguments import needs
+from cellsys.linear_systems import LinearSystem, StateSpaceLike, TransferFunctionLike
 from cellsys.system import Layout, Matrix, OdeSystem
 from cellsys.trajectory import Trajectory
 
@@ -363,30 +364,3 @@ class MatrixKind(Protocol[_Scene, _Cell]):
 
     def words(self, scene: _Scene) -> tuple[str, str]:
         """The scene in words ("a chain of 40 nodes"), and what makes it smaller."""
-
-
-@runtime_checkable
-class StateSpaceLike(Protocol):
-    """A linear system in state space, such as control.ss(A, B, C, D, 0)."""
-
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
-    dt: float
-
-
-@runtime_checkable
-class TransferFunctionLike(Protocol):
-    """A transfer function, such as control.tf(num, den, 0)."""
-
-    num: Any
-    den: Any
-    dt: float
-
-
-LinearSystem = Annotated[
-    StateSpaceLike | TransferFunctionLike | tuple[Any, ...] | Matrix,
-    "a linear system: a control.StateSpace or a TransferFunction (of scipy.signal too; other forms "
-    "of it by .to_ss()), (A, B, C, D), (A, B, C, D, dt) or a matrix A",
-]

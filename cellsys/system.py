@@ -19,7 +19,6 @@ from typing import (
     TYPE_CHECKING,
     Annotated,
     Any,
-    ClassVar,
     Generic,
     NamedTuple,
     TypeGuard,
@@ -280,9 +279,6 @@ class OdeSystem:
     law: Callable[[Any, Any], Any] | None = None
     forcing: Callable[[Any, Any], Any] | None = None
 
-    # Whether the system changes between steps: binding, rupture, thermal forces.
-    discrete: ClassVar[bool] = False
-
     def __post_init__(self) -> None:
         for name in ("states", "auxiliaries", "inputs"):
             value = getattr(self, name)
@@ -355,6 +351,11 @@ class OdeSystem:
         return self._symbolic
 
     # Optional hooks. What a system does not override, it does not have.
+    @property
+    def discrete(self) -> bool:
+        """Whether the system changes between steps: binding, rupture, thermal forces."""
+        return False
+
     def events(self) -> tuple[EventFunction, ...]:
         """Guard functions located by root finding; none by default."""
         return ()

@@ -170,6 +170,7 @@ GOOD = {
     "work_precision.reference": lambda: (setup(), setup()), "check_budget.reference": setup,
     "coupling_cost.form": lambda: cs.Superposition(), "grid.settings": lambda: {},
     "closed_loop.model": model, "with_matrix.model": equivariant,
+    "with_matrix.field": lambda: cs.full_field(spreading()),
     "realisation_floor.model": equivariant, "realisation_floor.pairs": lambda: [],
     "measure.name": lambda: "mse", "measure.x": lambda: T, "measure.reference": lambda: T,
     "pole_certainty.method": lambda: cs.PCR(), "solve_ivp_peer.method": lambda: "RK45",

@@ -43,7 +43,7 @@ FLOORS = [
     ("mechanics",),
     ("bondgraph", "integrate", "response"),
     ("contracts", "state_space"),
-    ("laws", "store"),
+    ("laws", "store", "linear_systems"),
     ("system", "overdamped", "trajectory", "drawable", "answers"),
     ("units", "arguments", "kinds", "printable", "shown", "errors", "version"),
     ("renamed",),
@@ -180,8 +180,8 @@ def test_the_privacy_test_sees_names_behind_their_module():
 def test_contracts_are_not_sniffed():
     """What crosses a room crosses it in a contract (`needs`), not by ``hasattr``."""
     asked = contract_members(SOURCES["cellsys/contracts.py"])
-    for room in ("integrate", "population/ported"):
-        asked |= contract_members(SOURCES[f"cellsys/{room}/capabilities.py"])
+    for file in ("linear_systems", "integrate/capabilities", "population/ported/capabilities"):
+        asked |= contract_members(SOURCES[f"cellsys/{file}.py"])
     found = sniffed(SOURCES, asked)
     assert not found, f"hasattr on a contract: {sorted(found)}"
 

@@ -8,16 +8,16 @@ delta-matroid extend). A source that is rejected is a conflict; a rejected stora
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
 from cellsys.bondgraph.elements import (
+    GY,
     TF,
-    TWO_PORTS,
+    BondElement,
     C,
     CField,
     I,
@@ -26,6 +26,7 @@ from cellsys.bondgraph.elements import (
     R,
     Se,
     Sf,
+    Value,
     Zero,
 )
 from cellsys.bondgraph.elimination import Number, SolutionSet, rational
@@ -64,14 +65,14 @@ def variable(bond: int, quantity: str) -> int:
     return 2 * bond + (quantity == FLOW)
 
 
-def ratio_of(graph: JunctionGraph, element: Any) -> float:
+def ratio_of(graph: JunctionGraph, element: TF | GY) -> float:
     """A constant scalar ratio of a TF or GY, as a float in the graph's units."""
     inner, outer = graph.two_port_sides(element)
     kind = type(element).__name__
     near, far = graph.domains[inner.bond], graph.domains[outer.bond]
     expected = dimension_of(kind, near, far) if far is not None else None
     value = read(element.ratio, expected, graph.units, f"{kind} {element.name!r} ratio")
-    if np.ndim(value) != 0 or value == 0.0:
+    if isinstance(value, np.ndarray) or value == 0.0:
         raise ParameterError(f"{kind} {element.name!r}: ratio must be a number other than 0")
     return value
 
@@ -92,7 +93,7 @@ def relations(graph: JunctionGraph, *, generic: bool) -> Iterable[dict[int, Numb
             yield {variable(bond, summed): sign for bond, sign in bonds}
     primes = _primes()
     for element in graph.elements:
-        if not isinstance(element, TWO_PORTS):
+        if not isinstance(element, (TF, GY)):
             continue
         if is_modulated(element) or is_matrix(element):
             ratio: Number = Fraction(next(primes), next(primes))
@@ -107,7 +108,7 @@ def relations(graph: JunctionGraph, *, generic: bool) -> Iterable[dict[int, Numb
         yield {variable(outer.bond, far): 1, variable(inner.bond, FLOW): -ratio}
 
 
-def _primes() -> Iterable[int]:
+def _primes() -> Iterator[int]:
     known: list[int] = []
     k = 101
     while True:
@@ -205,7 +206,7 @@ def _refuse_loose(graph: JunctionGraph, solution: SolutionSet) -> None:
 
 
 def _open_two_ports(
-    graph: JunctionGraph, special: list[Any], outputs: dict[int, tuple[str, str]]
+    graph: JunctionGraph, special: list[TF | GY], outputs: dict[int, tuple[str, str]]
 ) -> SolutionSet:
     """The junction structure with modulated and matrix two-ports taken out as elements."""
     solution = _structure(graph, generic=False)
@@ -248,16 +249,16 @@ def _both(solution: SolutionSet, a: int, b: int) -> bool:
     return False
 
 
-def _rank(element: Any) -> int:
+def _rank(element: BondElement) -> int:
     """Nonlinear storage first, so that a linear one becomes the dependent one."""
     return 0 if not _linear(element) else 1
 
 
-def _choices(element: Any) -> int:
+def _choices(element: BondElement) -> int:
     return len(_resistor_outputs(element)) if isinstance(element, R) else 0
 
 
-def _linear(element: Any) -> bool:
+def _linear(element: BondElement) -> bool:
     return isinstance(element, (C, I)) and element.law is None
 
 
@@ -266,15 +267,16 @@ def _resistor_outputs(element: R) -> tuple[str, ...]:
         return (EFFORT,)
     if element.inverse is not None and element.law is None:
         return (FLOW,)
-    if element.resistance is not None and np.any(np.asarray(_plain(element.resistance)) == 0):
+    if element.resistance is not None and _has_zero(element.resistance):
         return (EFFORT,)
-    if element.conductance is not None and np.any(np.asarray(_plain(element.conductance)) == 0):
+    if element.conductance is not None and _has_zero(element.conductance):
         return (FLOW,)
     return (FLOW, EFFORT) if element.conductance is not None else (EFFORT, FLOW)
 
 
-def _plain(value: Any) -> Any:
-    return 1.0 if isinstance(value, str) else value
+def _has_zero(value: Value) -> bool:
+    """Whether a parameter is 0 somewhere; a quantity in words is not looked at."""
+    return not isinstance(value, str) and bool(np.any(np.asarray(value) == 0))
 
 
 def _word(quantity: str) -> str:
@@ -309,7 +311,7 @@ def _strokes(graph: JunctionGraph, causality: Causality) -> dict[str, bool]:
                 tail[b] = (s > 0) == (strong == EFFORT)
                 changed = True
         for element in graph.elements:
-            if isinstance(element, TWO_PORTS):
+            if isinstance(element, (TF, GY)):
                 inner, outer = graph.two_port_sides(element)
                 for a, b in ((inner.bond, outer.bond), (outer.bond, inner.bond)):
                     if a in tail and b not in tail:

@@ -14,18 +14,22 @@ units, quantities such as ``"2 N/m"``, or arrays of the junction's shape.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 
-from cellsys.arguments import checked
+from cellsys.arguments import checked, needs
+from cellsys.bondgraph.expressions import Expression, States
 from cellsys.errors import ParameterError
+from cellsys.kinds import FILLED, Filled
 from cellsys.system import Block
 
-Law = Callable[[Any], Any]
+Law = Callable[[Expression], Expression]
+StateLaw = Callable[[Expression, States], Expression]  # of time and states
+Ratio = Callable[[States], Expression]
 Value = Annotated[
     float | str | np.ndarray, "a number, a quantity such as '2 N/m' or an array of numbers"
 ]
@@ -45,7 +49,7 @@ class BondElement:
             raise ParameterError(f"an element's name must be a plain word, got {self.name!r}")
 
 
-def _one_of(name: str, **given: Any) -> None:
+def _one_of(name: str, **given: object) -> None:
     present = [k for k, v in given.items() if v is not None]
     if len(present) != 1:
         raise ParameterError(
@@ -99,7 +103,7 @@ class Se(BondElement):
     The value is the effort of its bond, whatever the bond's direction.
     """
 
-    value: Value | Callable[[Any], Any] = 0.0
+    value: Value | Law = 0.0
 
 
 @checked
@@ -107,7 +111,7 @@ class Se(BondElement):
 class Sf(BondElement):
     """Source of flow: a number, a quantity or a function of time; its name is an input."""
 
-    value: Value | Callable[[Any], Any] = 0.0
+    value: Value | Law = 0.0
 
 
 @checked
@@ -217,9 +221,9 @@ class CField(BondElement):
     """
 
     ends: tuple[str, ...] = ()
-    law: Callable[..., Any] | None = None
-    energy: Callable[..., Any] | None = None
-    q0: Mapping[str, Any] = field(default_factory=dict)
+    law: Filled[Callable[..., Sequence[Expression]]] = FILLED
+    energy: Callable[..., Expression] | None = None
+    q0: Mapping[str, Start] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -246,7 +250,7 @@ class NodalEffort(BondElement):
         gives W_eta only, and whoever owns the law evaluates eta.
     """
 
-    law: Callable[[Any, Mapping[str, Any]], Any] | None = None
+    law: StateLaw | None = None
 
 
 @checked
@@ -264,10 +268,14 @@ class Internal(BondElement):
         Initial value.
     """
 
-    block: Block | None = None
-    rate: Callable[[Any, Mapping[str, Any]], Any] | None = None
+    block: Filled[Block] = FILLED  # to be given: the name before it has no default
+    rate: StateLaw | None = None
     x0: Start = 0.0
     ports: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        needs(self.block, Block, f"block of Internal {self.name!r}")
 
 
 @checked
@@ -283,7 +291,7 @@ class TF(BondElement):
         auxiliaries and W_eta stays constant.
     """
 
-    ratio: Value | sp.sparray | sp.spmatrix | Callable[[Any], Any] | None = None
+    ratio: Value | sp.sparray | sp.spmatrix | Ratio | None = None
 
 
 @checked
@@ -297,7 +305,7 @@ class GY(BondElement):
         As for `TF`, without the matrix.
     """
 
-    ratio: Value | Callable[[Any], Any] | None = None
+    ratio: Value | Ratio | None = None
 
 
 JUNCTIONS = (Zero, One)

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from cellsys.bondgraph.elements import C, CField, I, R
+from cellsys.bondgraph.expressions import Numbers, numbers, shaped
 from cellsys.bondgraph.junctions import JunctionGraph
-from cellsys.bondgraph.laws import shaped
+from cellsys.bondgraph.outputs import constants_of
 from cellsys.bondgraph.structure import Structure
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
 def stored_energy(
-    structure: Structure, bonds: dict[str, tuple[Any, Any]], x: np.ndarray
+    structure: Structure, bonds: dict[str, tuple[Numbers, Numbers]], x: np.ndarray
 ) -> dict[str, float]:
     """Energy of every storage, H(q) = integral of law(q) dq from 0.
 
@@ -33,21 +32,21 @@ def stored_energy(
         if output.kind == "dependent":
             e, f = bonds[names[port.bond]]
             v = np.ravel(f if isinstance(element, I) else e)
-            out[port.name] = float(0.5 * np.sum(output.constant * v**2))
+            out[port.name] = float(0.5 * np.sum(constants_of(output) * v**2))
             continue
         piece = structure.states.slice(structure.state_of[port.name])
         if isinstance(element, CField):
             if port.port == element.ends[0]:
                 out[element.name] = _field(structure, element, x)
         elif element.law is None:
-            out[port.name] = float(0.5 * np.sum(output.constant * x[piece] ** 2))
+            out[port.name] = float(0.5 * np.sum(constants_of(output) * x[piece] ** 2))
         elif element.energy is not None:
-            out[port.name] = float(np.sum(element.energy(shaped(x[piece], output.shape))))
+            out[port.name] = float(np.sum(numbers(element.energy(shaped(x[piece], output.shape)))))
         else:
             q = shaped(x[piece], output.shape)
             out[port.name] = float(
                 sum(
-                    0.5 * w * np.sum(element.law(0.5 * (1 + s) * q) * q)
+                    0.5 * w * np.sum(numbers(element.law(0.5 * (1 + s) * q)) * q)
                     for s, w in zip(_NODES, _WEIGHTS, strict=True)
                 )
             )
@@ -60,11 +59,13 @@ def _field(structure: Structure, element: CField, x: np.ndarray) -> float:
         name = structure.state_of[f"{element.name}.{end}"]
         q.append(shaped(x[structure.states.slice(name)], structure.states[name].shape))
     if element.energy is not None:
-        return float(np.sum(element.energy(*q)))
+        return float(np.sum(numbers(element.energy(*q))))
     total = 0.0
     for s, w in zip(_NODES, _WEIGHTS, strict=True):
         efforts = element.law(*(0.5 * (1 + s) * v for v in q))
-        total += 0.5 * w * sum(float(np.sum(e * v)) for e, v in zip(efforts, q, strict=True))
+        total += (
+            0.5 * w * sum(float(np.sum(numbers(e) * v)) for e, v in zip(efforts, q, strict=True))
+        )
     return total
 
 

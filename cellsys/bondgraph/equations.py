@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
 
-from cellsys.arguments import checked
+from cellsys.arguments import checked, unchecked
 from cellsys.bondgraph.causality import assign
-from cellsys.bondgraph.elements import C, CField, I, R, Se, Sf
+from cellsys.bondgraph.elements import C, CField, I, R, Se, Sf, Start
 from cellsys.bondgraph.energy import dissipation, stored_energy
+from cellsys.bondgraph.expressions import Numbers, Symbol, Vector, apply, shaped
 from cellsys.bondgraph.junctions import JunctionGraph
-from cellsys.bondgraph.laws import Laws, apply, shaped
+from cellsys.bondgraph.laws import Laws
 from cellsys.bondgraph.linearization import linearize
 from cellsys.bondgraph.state_equations import StateEquations
 from cellsys.bondgraph.structure import (
@@ -25,6 +26,9 @@ from cellsys.bondgraph.structure import build
 from cellsys.bondgraph.writing import latex, text
 from cellsys.shown import Shown
 from cellsys.system import OdeSystem
+
+if TYPE_CHECKING:
+    import control
 
 
 @checked
@@ -53,11 +57,13 @@ class Equations(StateEquations, Shown):
         Algebraic loops among nonlinear resistors, solved at each evaluation.
     """
 
-    def eta(self, t: Any, x: Any) -> Any:
+    @unchecked
+    def eta(self, t: float | Symbol, x: Vector) -> Vector:
         """Auxiliaries (n_eta,) at (t, x); accepts CasADi symbols where the laws do."""
         return self.laws.eta(t, x, self.laws.sources(t))
 
-    def u(self, t: Any, x: Any) -> Any:
+    @unchecked
+    def u(self, t: float | Symbol, x: Vector) -> Vector:
         """Exogenous rate W_s s(t), (n,)."""
         return apply(self.W_s, self.laws.sources(t))
 
@@ -75,7 +81,7 @@ class Equations(StateEquations, Shown):
             forcing=self.u if self.inputs.size else None,
         )
 
-    def bonds(self, t: float, x: np.ndarray) -> dict[str, tuple[Any, Any]]:
+    def bonds(self, t: float, x: np.ndarray) -> dict[str, tuple[Numbers, Numbers]]:
         """(effort, flow) of every bond at (t, x), in the bond's shape."""
         s = self.laws.sources(t)
         S = self.structure
@@ -92,7 +98,8 @@ class Equations(StateEquations, Shown):
         """Power sum(e f) into every element port, in the graph's units."""
         values = list(self.bonds(t, x).values())
         return {
-            p.name: p.sign * float(np.sum(np.multiply(*values[p.bond]))) for p in self.graph.ports
+            p.name: p.sign * float(np.sum(values[p.bond][0] * values[p.bond][1]))
+            for p in self.graph.ports
         }
 
     def power(self, t: float, x: np.ndarray) -> dict[str, float]:
@@ -118,11 +125,11 @@ class Equations(StateEquations, Shown):
 
     def linearize(
         self,
-        x0: np.ndarray | Mapping[str, Any] | None = None,
+        x0: np.ndarray | Mapping[str, Start] | None = None,
         *,
         t: float = 0.0,
         outputs: Sequence[str] | None = None,
-    ) -> Any:
+    ) -> control.StateSpace:
         """Linear `control.StateSpace` (dt = 0) about (t, x0); see `linearize` in this room."""
         return linearize(self, x0, t=t, outputs=outputs)
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, TypeGuard
+from typing import NamedTuple, TypeGuard, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,9 +20,15 @@ from cellsys.bondgraph.elements import (
     BondElement,
     CField,
     Internal,
+    One,
+    Ratio,
+    Zero,
 )
 from cellsys.bondgraph.quantities import DOMAINS
 from cellsys.errors import CausalityError, ParameterError
+from cellsys.system import is_sparse
+
+_T = TypeVar("_T")
 
 
 @checked
@@ -210,21 +216,20 @@ class JunctionGraph:
     @cached_property
     def shapes(self) -> tuple[tuple[int, ...], ...]:
         """Shape of every bond, from the junction it touches (or the far side of a TF, GY)."""
-        return tuple(tuple(s) for s in self._spread("shape", ()))
+        scalar: tuple[int, ...] = ()
+        return tuple(tuple(s) for s in self._spread("shape", lambda j: j.shape, scalar))
 
     @cached_property
     def domains(self) -> tuple[str | None, ...]:
         """Domain of every bond, or None."""
-        return tuple(self._spread("domain", None))
+        return tuple(self._spread("domain", lambda j: j.domain, None))
 
-    def _spread(self, attribute: str, default: Any) -> list[Any]:
-        out: list[Any] = []
+    def _spread(self, attribute: str, of: Callable[[Zero | One], _T], default: _T) -> list[_T]:
+        """An attribute of every bond, from the junctions it touches."""
+        out: list[_T] = []
         for bond in self.joined:
-            found = [
-                getattr(self.by_name[n], attribute)
-                for n in (bond.tail, bond.head)
-                if isinstance(self.by_name[n], JUNCTIONS)
-            ]
+            ends = [self.by_name[n] for n in (bond.tail, bond.head)]
+            found = [of(end) for end in ends if isinstance(end, (Zero, One))]
             if len(found) == 2 and found[0] != found[1]:
                 if attribute == "shape" or None not in found:
                     raise ParameterError(
@@ -241,12 +246,26 @@ class JunctionGraph:
         return inner, outer
 
 
+def modulation(element: BondElement) -> Ratio | None:
+    """The ratio of a TF or GY that depends on the state; None for any other element."""
+    ratio = element.ratio if isinstance(element, (TF, GY)) else None
+    return ratio if callable(ratio) else None
+
+
 def is_modulated(element: BondElement) -> TypeGuard[TF | GY]:
     """Whether a TF or GY has a ratio that depends on the state."""
-    return isinstance(element, TWO_PORTS) and callable(element.ratio)
+    return modulation(element) is not None
 
 
 def is_matrix(element: BondElement) -> TypeGuard[TF]:
     """Whether a TF has a constant matrix for its ratio."""
-    ratio = getattr(element, "ratio", None)
-    return sp.issparse(ratio) or (isinstance(ratio, np.ndarray) and ratio.ndim == 2)
+    ratio = element.ratio if isinstance(element, (TF, GY)) else None
+    return is_sparse(ratio) or (isinstance(ratio, np.ndarray) and ratio.ndim == 2)
+
+
+def matrix_of(element: TF) -> sp.csr_array:
+    """The constant matrix of a TF."""
+    ratio = element.ratio
+    if is_sparse(ratio) or isinstance(ratio, np.ndarray):
+        return sp.csr_array(ratio)
+    raise ParameterError(f"TF {element.name!r} has no matrix for its ratio, got {ratio!r}")

@@ -8,23 +8,54 @@ solution, and the matrix I - diag(law') S of Newton's method is never singular.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 import scipy.linalg as sla
 import scipy.sparse as sp
 
-from cellsys.bondgraph.elements import GY, TF, CField, Internal, NodalEffort, R, Se, Sf
-from cellsys.bondgraph.junctions import is_modulated
-from cellsys.bondgraph.outputs import Output, output_sign
+from cellsys.bondgraph.elements import (
+    GY,
+    TF,
+    BondElement,
+    C,
+    CField,
+    I,
+    Internal,
+    Law,
+    NodalEffort,
+    R,
+    Ratio,
+    Se,
+    Sf,
+)
+from cellsys.bondgraph.expressions import (
+    Expression,
+    Matrix,
+    Numbers,
+    States,
+    Symbol,
+    Vector,
+    apply,
+    column,
+    numbers,
+    shaped,
+)
+from cellsys.bondgraph.junctions import is_modulated, modulation
+from cellsys.bondgraph.outputs import Output, constants_of, output_sign
 from cellsys.bondgraph.quantities import dimension_of, read
 from cellsys.bondgraph.structure import Structure
 from cellsys.errors import CausalityError, DimensionError, IntegrationError, NotSymbolicError
 from cellsys.laws.arrays import is_symbolic
-from cellsys.system import Layout, is_sparse
+from cellsys.system import Layout
 
+if TYPE_CHECKING:
+    import casadi as ca
+
+# Of time, state and the states by name: what depends on no other auxiliary.
+DirectLaw = Callable[[float | Symbol, Vector, States], Expression]
 NEWTON_STEPS = 60
 _NONE = np.zeros(0)
 DENSE = 500  # matrices up to this many rows are kept dense: a product then costs a microsecond
@@ -37,27 +68,11 @@ class _Memoryless:
     name: str
     place: slice
     shape: tuple[int, ...]
-    apply: Callable[[Any, Mapping[str, Any]], Any]
-    A_x: Any
-    A_eta: Any
-    A_s: Any
+    apply: Callable[[Expression, States], Expression]
+    A_x: Matrix
+    A_eta: Matrix
+    A_s: Matrix
     solvable: bool
-
-
-def apply(matrix: Any, vector: Any) -> Any:
-    """Matrix times a numpy vector or a CasADi one."""
-    if is_symbolic(vector):
-        import casadi as ca
-
-        return ca.DM(sp.csc_matrix(matrix)) @ vector
-    return matrix @ vector
-
-
-def shaped(vector: Any, shape: tuple[int, ...]) -> Any:
-    """A piece of a vector as a law sees it: a number, or an array of `shape` (numpy only)."""
-    if isinstance(vector, np.ndarray):
-        return vector.reshape(shape) if shape else vector[0]
-    return vector
 
 
 class Laws:
@@ -75,7 +90,7 @@ class Laws:
             self.places[o.name] = slice(start, start + n)
             start += n
         self.size = start
-        self.storage: list[tuple[str, slice, Callable[[Any, Any, Mapping[str, Any]], Any]]] = []
+        self.storage: list[tuple[str, slice, DirectLaw]] = []
         memoryless: list[_Memoryless] = []
         for o in kept:
             place = self.places[o.name]
@@ -101,19 +116,23 @@ class Laws:
                 )
         self.loops = tuple(tuple(m.name for m in g) for g, loop in self.order if loop)
 
-    def sources(self, t: Any) -> Any:
+    @overload
+    def sources(self, t: float) -> np.ndarray: ...
+
+    @overload
+    def sources(self, t: float | Symbol) -> Vector: ...
+
+    def sources(self, t: float | Symbol) -> Vector:
         """Values of all sources at time t, (n_inputs,)."""
         if not self.structure.inputs.size:
             return _NONE
         parts = [(value(t) if callable(value) else value, shape) for value, shape in self.given]
         if any(is_symbolic(v) for v, _ in parts):
-            import casadi as ca
-
-            return ca.vertcat(*(v if is_symbolic(v) else ca.DM(np.ravel(v)) for v, _ in parts))
-        flat = [np.broadcast_to(np.asarray(v, float), shape).ravel() for v, shape in parts]
+            return column([v for v, _ in parts])
+        flat = [np.broadcast_to(numbers(v), shape).ravel() for v, shape in parts]
         return np.concatenate(flat) if flat else np.zeros(0)
 
-    def _value(self, output: Output) -> Any:
+    def _value(self, output: Output) -> Numbers | Law:
         """A source's function of time, or its number in the graph's units."""
         graph = self.structure.graph
         port = graph.ports[output.index]
@@ -126,24 +145,33 @@ class Laws:
         expected = dimension_of(quantity, graph.domains[port.bond])
         return read(source.value, expected, graph.units, f"source {output.name!r}")
 
-    def view(self, x: Any) -> Mapping[str, Any]:
+    def view(self, x: Vector) -> States:
         """States by name, each in its block's shape."""
         states: Layout = self.structure.states
-        if is_symbolic(x):
+        if not isinstance(x, np.ndarray):
             return {b.name: x[states.slice(b.name)] for b in states}
         return {b.name: shaped(x[states.slice(b.name)], b.shape) for b in states}
 
-    def eta(self, t: Any, x: Any, s: Any) -> Any:
+    @overload
+    def eta(self, t: float, x: np.ndarray, s: np.ndarray) -> np.ndarray: ...
+
+    @overload
+    def eta(self, t: float, x: ca.SX, s: ca.SX) -> ca.SX: ...
+
+    @overload
+    def eta(self, t: float | Symbol, x: Vector, s: Vector) -> Vector: ...
+
+    def eta(self, t: float | Symbol, x: Vector, s: Vector) -> Vector:
         """Auxiliaries at time t, state x and source values s."""
         symbolic = is_symbolic(t, x, s)
         views = self.view(x) if self.looks else {}
-        eta: Any = np.zeros(self.size)
+        eta: Vector = np.zeros(self.size)
         if symbolic:
             import casadi as ca
 
             eta = ca.SX.zeros(self.size, 1) if not isinstance(x, ca.MX) else ca.MX.zeros(self.size)
         for name, place, law in self.storage:
-            _put(eta, name, place, law(t, x, views), symbolic)
+            _put(eta, name, place, law(t, x, views))
         for group, loop in self.order:
             if loop:
                 if symbolic:
@@ -152,17 +180,14 @@ class Laws:
                         f"{', '.join(m.name for m in group)}, which is solved by iteration: it "
                         "has no CasADi form; use a numeric integrator"
                     )
-                self._solve(group, t, x, s, eta, views)
+                self._solve(group, t, numbers(x), numbers(s), numbers(eta), views)
                 continue
             m = group[0]
-            if symbolic:
-                v = apply(m.A_x, x) + apply(m.A_eta, eta) + apply(m.A_s, s)
-            else:
-                v = m.A_x @ x + m.A_eta @ eta + m.A_s @ s
-            _put(eta, m.name, m.place, m.apply(shaped(v, m.shape), views), symbolic)
+            v = apply(m.A_x, x) + apply(m.A_eta, eta) + apply(m.A_s, s)
+            _put(eta, m.name, m.place, m.apply(shaped(v, m.shape), views))
         return eta
 
-    def _direct(self, o: Output, element: Any) -> Callable[[Any, Any, Mapping[str, Any]], Any]:
+    def _direct(self, o: Output, element: BondElement) -> DirectLaw:
         """Law of a storage or nodal effort: a function of the state alone."""
         graph, states = self.structure.graph, self.structure.states
         if isinstance(element, (NodalEffort, Internal)):
@@ -174,11 +199,15 @@ class Laws:
         if isinstance(element, CField):
             names = [self.structure.state_of[f"{element.name}.{end}"] for end in element.ends]
             which = element.ends.index(port.port)
-            return lambda t, x, s: element.law(*(s[n] for n in names))[which]
-        piece = states.slice(self.structure.state_of[port.name])
-        if element.law is None:
-            return lambda t, x, s: o.constant * x[piece]
-        return lambda t, x, s: element.law(shaped(x[piece], o.shape))
+            many = element.law
+            return lambda t, x, s: many(*(s[n] for n in names))[which]
+        if not isinstance(element, (C, I)):
+            raise CausalityError(f"{element.name!r} has no law of the state")
+        piece, own = states.slice(self.structure.state_of[port.name]), element.law
+        if own is None:
+            factor = constants_of(o)
+            return lambda t, x, s: factor * x[piece]
+        return lambda t, x, s: own(shaped(x[piece], o.shape))
 
     def _memoryless(self, o: Output, place: slice) -> _Memoryless:
         structure = self.structure
@@ -188,7 +217,9 @@ class Laws:
         sign = output_sign(port, o.quantity)
         seen = port.name
         solvable = True
-        if is_modulated(element):
+        ratio = modulation(element)
+        law: Callable[[Expression, States], Expression]
+        if ratio is not None:
             a, b = graph.two_port_sides(element)
             seen = b.name if port == a else a.name
             direct = (
@@ -196,13 +227,10 @@ class Laws:
                 if not isinstance(element, TF)
                 else ((port == a) == (o.quantity == "e"))
             )
-            ratio = element.ratio
-            law = (lambda v, s: ratio(s) * v) if direct else (lambda v, s: v / ratio(s))
+            law = _modulated(ratio, direct)
         elif o.constant is not None:
             factor = sign * (o.constant.reshape(o.shape) if o.shape else float(o.constant[0]))
-
-            def law(v: Any, s: Any) -> Any:
-                return factor * v
+            law = _linear(factor)
         else:
             function = None
             if isinstance(element, R):
@@ -210,27 +238,35 @@ class Laws:
                 solvable = element.monotone
             if function is None:
                 raise CausalityError(f"{element.name!r} has no law for what it is asked")
-
-            def law(v: Any, s: Any) -> Any:
-                return sign * function(v)
+            law = _signed(function, sign)
 
         rows = structure.inner[seen]
-        A = [rows @ Y for Y in (structure.Y_x, structure.Y_eta, structure.Y_s)]
-        if max(structure.states.size, self.size) <= DENSE:
-            A = [a.toarray() for a in A]
+        small = max(structure.states.size, self.size) <= DENSE
+
+        def seen_of(Y: sp.csr_array) -> Matrix:
+            A = sp.csr_array(rows @ Y)
+            return A.toarray() if small else A
+
+        A_x, A_eta, A_s = (seen_of(Y) for Y in (structure.Y_x, structure.Y_eta, structure.Y_s))
         return _Memoryless(
             name=o.name,
             place=place,
             shape=o.shape,
             apply=law,
-            A_x=A[0],
-            A_eta=A[1],
-            A_s=A[2],
+            A_x=A_x,
+            A_eta=A_eta,
+            A_s=A_s,
             solvable=solvable,
         )
 
     def _solve(
-        self, group: list[_Memoryless], t: Any, x: Any, s: Any, eta: np.ndarray, views: Any
+        self,
+        group: list[_Memoryless],
+        t: float | Symbol,
+        x: np.ndarray,
+        s: np.ndarray,
+        eta: np.ndarray,
+        views: States,
     ) -> None:
         """Damped Newton on v - law(a + S v) = 0, to rounding."""
         index = np.concatenate([np.arange(m.place.start, m.place.stop) for m in group])
@@ -243,7 +279,7 @@ class Laws:
         def laws(w: np.ndarray) -> np.ndarray:
             return np.concatenate(
                 [
-                    np.ravel(m.apply(shaped(w[a:b], m.shape), views))
+                    numbers(m.apply(shaped(w[a:b], m.shape), views)).ravel()
                     for m, (a, b) in zip(group, cuts, strict=True)
                 ]
             )
@@ -270,27 +306,39 @@ class Laws:
         if not float(np.linalg.norm(residual)) <= 1e-9 * scale:
             raise IntegrationError(
                 f"algebraic loop through {', '.join(m.name for m in group)} was not solved",
-                time=float(t),
+                time=float(numbers(t)),
                 state_norm=float(np.linalg.norm(x)),
                 step=float(np.linalg.norm(residual)),
             )
         eta[index] = v
 
 
-def _dense(matrix: Any) -> np.ndarray:
-    return matrix.toarray() if is_sparse(matrix) else matrix
+def _dense(matrix: Matrix) -> np.ndarray:
+    return matrix if isinstance(matrix, np.ndarray) else matrix.toarray()
 
 
-def _unowned(name: str) -> Callable[[Any, Any, Mapping[str, Any]], Any]:
-    def missing(t: Any, x: Any, s: Mapping[str, Any]) -> Any:
+def _modulated(ratio: Ratio, direct: bool) -> Callable[[Expression, States], Expression]:
+    return (lambda v, s: ratio(s) * v) if direct else (lambda v, s: v / ratio(s))
+
+
+def _linear(factor: float | np.ndarray) -> Callable[[Expression, States], Expression]:
+    return lambda v, s: factor * v
+
+
+def _signed(function: Law, sign: int) -> Callable[[Expression, States], Expression]:
+    return lambda v, s: sign * function(v)
+
+
+def _unowned(name: str) -> DirectLaw:
+    def missing(t: float | Symbol, x: Vector, s: States) -> Expression:
         raise CausalityError(f"{name!r} was given without a law: its owner evaluates eta")
 
     return missing
 
 
-def _put(eta: Any, name: str, place: slice, value: Any, symbolic: bool) -> None:
+def _put(eta: Vector, name: str, place: slice, value: Expression) -> None:
     """Store a law's value; DimensionError names the law whose value does not fit."""
-    if symbolic:
+    if not isinstance(eta, np.ndarray):
         eta[place] = value
         return
     try:
@@ -298,7 +346,7 @@ def _put(eta: Any, name: str, place: slice, value: Any, symbolic: bool) -> None:
     except ValueError:
         raise DimensionError(
             f"the law of {name!r} must return {place.stop - place.start} value(s), "
-            f"got shape {np.shape(value)}"
+            f"got shape {np.asarray(value).shape}"
         ) from None
 
 
@@ -307,7 +355,7 @@ def _is_loop(group: list[_Memoryless]) -> bool:
         return True
     m = group[0]
     own = m.A_eta[:, m.place]
-    return bool(own.nnz if is_sparse(own) else np.any(own))
+    return bool(np.any(own) if isinstance(own, np.ndarray) else own.nnz)
 
 
 def _sorted(items: list[_Memoryless]) -> list[list[_Memoryless]]:
@@ -316,7 +364,8 @@ def _sorted(items: list[_Memoryless]) -> list[list[_Memoryless]]:
         return []
     needs = np.zeros((len(items), len(items)))
     for i, m in enumerate(items):
-        columns = np.abs(m.A_eta).sum(axis=0)
+        A = m.A_eta
+        columns = np.abs(A).sum(axis=0) if isinstance(A, np.ndarray) else abs(A).sum(axis=0)
         for j, other in enumerate(items):
             needs[i, j] = np.any(columns[other.place])
     count, label = sp.csgraph.connected_components(sp.csr_array(needs), connection="strong")

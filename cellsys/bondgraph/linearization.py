@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cellsys.bondgraph.elements import Start
 from cellsys.bondgraph.state_equations import StateEquations
 from cellsys.errors import DimensionError, NotSymbolicError, ParameterError
 from cellsys.state_space import state_space
 
+if TYPE_CHECKING:
+    import control
+
 
 def linearize(
     equations: StateEquations,
-    x0: np.ndarray | Mapping[str, Any] | None = None,
+    x0: np.ndarray | Mapping[str, Start] | None = None,
     *,
     t: float = 0.0,
     outputs: Sequence[str] | None = None,
-) -> Any:
+) -> control.StateSpace:
     """Linear model of deviations from (t, x0),
 
         A = W_x + W_eta d eta/dx ,    B = W_s + W_eta d eta/ds
@@ -93,7 +97,7 @@ def _signals(names: Sequence[str]) -> list[str]:
     return [name.replace(".", "_") for name in names]
 
 
-def _point(equations: StateEquations, x0: Any) -> np.ndarray:
+def _point(equations: StateEquations, x0: np.ndarray | Mapping[str, Start] | None) -> np.ndarray:
     x = np.array(equations.x0, dtype=float)
     if isinstance(x0, Mapping):
         for name, value in x0.items():
@@ -109,7 +113,7 @@ def _point(equations: StateEquations, x0: Any) -> np.ndarray:
     return x
 
 
-def _bond_rows(equations: StateEquations, label: str) -> Any:
+def _bond_rows(equations: StateEquations, label: str) -> np.ndarray:
     S, graph = equations.structure, equations.graph
     head, _, quantity = label.rpartition(".")
     bonds = {b.name: i for i, b in enumerate(graph.joined)} | {p.name: p.bond for p in graph.ports}
@@ -147,12 +151,12 @@ def _jacobians(
         if np.all(np.isfinite(J_x)) and np.all(np.isfinite(J_s)):
             return J_x, J_s
     return (
-        _differences(lambda v: laws.eta(t, v, s), x),
-        _differences(lambda v: laws.eta(t, x, v), s),
+        _differences(lambda v: np.asarray(laws.eta(t, v, s)), x),
+        _differences(lambda v: np.asarray(laws.eta(t, x, v)), s),
     )
 
 
-def _differences(function: Any, at: np.ndarray) -> np.ndarray:
+def _differences(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> np.ndarray:
     columns = []
     for j in range(at.size):
         step = np.zeros(at.size)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from cellsys.bondgraph.causality import EFFORT, FLOW, Causality
-from cellsys.bondgraph.elements import C, CField, I, Internal, NodalEffort, R, Se, Sf
+from cellsys.bondgraph.elements import BondElement, C, CField, I, Internal, NodalEffort, R, Se, Sf
 from cellsys.bondgraph.junctions import BondPort, JunctionGraph, is_matrix
 from cellsys.bondgraph.quantities import dimension_of, read, state_units
-from cellsys.errors import DimensionError, ParameterError
+from cellsys.errors import CausalityError, DimensionError, ParameterError
 from cellsys.system import Block, Layout
 
 
@@ -21,8 +20,8 @@ class Output:
     """One output of a port: its place in y, and what makes it.
 
     `kind` is ``source``, ``linear``, ``law``, ``memoryless``, ``dependent`` or ``rate``.
-    `constant` is the factor of a linear element's output on its state or input, as (n,) array or
-    sparse matrix; None where there is none.
+    `constant` (n,) are the factors of a linear element's output on its state or input; None where
+    there are none.
     """
 
     index: int  # of the port, or -1 for the rate of an internal state
@@ -31,8 +30,23 @@ class Output:
     quantity: str
     place: slice
     shape: tuple[int, ...]
-    constant: Any = None
+    constant: np.ndarray | None = None
     source: bool = False
+
+
+def internal_of(graph: JunctionGraph, output: Output) -> Internal:
+    """The element whose rate an output is."""
+    element = graph.by_name[output.name]
+    if not isinstance(element, Internal):
+        raise CausalityError(f"{output.name!r} is no internal state")
+    return element
+
+
+def constants_of(output: Output) -> np.ndarray:
+    """Factors (n,) of the output of a linear element."""
+    if output.constant is None:
+        raise CausalityError(f"{output.name!r} is not linear")
+    return output.constant
 
 
 def size_of(shape: tuple[int, ...]) -> int:
@@ -71,7 +85,7 @@ def _factor(graph: JunctionGraph, port: BondPort, quantity: str, kind: str) -> n
     return np.divide(1.0, value)
 
 
-def _kind(element: Any, kind: str, literal: bool) -> str:
+def _kind(element: BondElement, kind: str, literal: bool) -> str:
     if kind == "source":
         return "source"
     if kind == "dependent":
@@ -169,7 +183,7 @@ def auxiliaries_of(graph: JunctionGraph, outputs: Sequence[Output]) -> Layout:
 
 def _auxiliary(graph: JunctionGraph, output: Output, roles: Mapping[int, str]) -> Block:
     if output.kind == "rate":
-        block = graph.by_name[output.name].block
+        block = internal_of(graph, output).block
         return Block(
             f"{block.name}.rate", block.shape, f"{block.unit}/s", role=block.role, kind="internal"
         )

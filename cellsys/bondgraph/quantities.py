@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any
 
 import numpy as np
 
@@ -57,7 +56,8 @@ _FACTOR = re.compile(r"^([A-Za-zµ%]+|1)(?:\^([+-]?\d+))?$")
 
 
 def _times(*parts: tuple[Dimension, int]) -> Dimension:
-    return tuple(sum(d[i] * k for d, k in parts) for i in range(4))  # type: ignore[return-value]
+    length, force, time, current = (sum(d[i] * k for d, k in parts) for i in range(4))
+    return length, force, time, current
 
 
 def dimension_of(parameter: str, domain: str | None, other: str | None = None) -> Dimension | None:
@@ -93,7 +93,8 @@ def state_units(domain: str | None, units: str) -> tuple[str, str, str, str]:
 
 def _unit(text: str) -> tuple[float, Dimension]:
     """Factor to SI and dimension of a unit."""
-    factor, total, sign = 1.0, (0, 0, 0, 0), 1
+    total: Dimension = (0, 0, 0, 0)
+    factor, sign = 1.0, 1
     for token in re.split(r"\s*([*/])\s*|\s+", text.strip()):
         if token in (None, "", "*"):
             continue
@@ -108,7 +109,8 @@ def _unit(text: str) -> tuple[float, Dimension]:
             scale, exponents = parse_unit(match[1] if match else token)
             if any(exponents[4:]):
                 raise UnitError(f"{token!r} is a temperature, which bond graphs here do not carry")
-            dimension = (*(int(e) for e in exponents[:3]), 0)
+            length, force, time = (int(e) for e in exponents[:3])
+            dimension = (length, force, time, 0)
             scale *= 1e-6 ** dimension[0] * 1e-12 ** dimension[1]
         factor *= scale**power
         total = _times((total, 1), (dimension, power))
@@ -116,7 +118,7 @@ def _unit(text: str) -> tuple[float, Dimension]:
     return factor, total
 
 
-def read(value: Any, expected: Dimension | None, units: str, name: str) -> Any:
+def read(value: object, expected: Dimension | None, units: str, name: str) -> float | np.ndarray:
     """A parameter as a finite float or array in the graph's units.
 
     Parameters
@@ -139,12 +141,12 @@ def read(value: Any, expected: Dimension | None, units: str, name: str) -> Any:
     """
     if not isinstance(value, str):
         try:
-            number = np.asarray(value, dtype=float)
+            array = np.asarray(value, dtype=float)
         except (TypeError, ValueError):
             raise ParameterError(f"{name} must be a number or a quantity, got {value!r}") from None
-        if not np.all(np.isfinite(number)):
+        if not np.all(np.isfinite(array)):
             raise ParameterError(f"{name} must be finite, got {value!r}")
-        return float(number) if number.ndim == 0 else number
+        return float(array) if array.ndim == 0 else array
     match = _NUMBER.match(value)
     if match is None:
         raise UnitError(f"{name} = {value!r} is not a number with a unit such as '1 N'")

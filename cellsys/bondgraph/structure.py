@@ -14,18 +14,18 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from cellsys.bondgraph.causality import EFFORT, FLOW, Causality, variable
-from cellsys.bondgraph.elements import TF, C, CField, I, Internal, One, Se, Sf
-from cellsys.bondgraph.junctions import JunctionGraph, is_matrix
+from cellsys.bondgraph.elements import TF, C, CField, I, Internal, One, Se, Sf, Start
+from cellsys.bondgraph.junctions import JunctionGraph, is_matrix, matrix_of
 from cellsys.bondgraph.outputs import (
     Output,
     auxiliaries_of,
+    constants_of,
     input_sign,
     output_sign,
     outputs_of,
@@ -85,7 +85,7 @@ def build(graph: JunctionGraph, causality: Causality, *, literal: bool) -> Struc
     P_x = _storage(graph, outputs, states, state_of, width, ("linear",))
     # With `literal` the outputs of linear storage are auxiliaries, but still K x.
     K = _storage(graph, outputs, states, state_of, width, ("linear", "law"))
-    Y = [P_x, P_eta, P_s]
+    Y: list[sp.csr_array | sp.csc_array] = [P_x, P_eta, P_s]
     if hidden:
         G = sp.csr_array(
             sp.vstack([_hidden_row(graph, o, outputs, inner, K, rate) for o in hidden])
@@ -168,10 +168,10 @@ def _states(
     by_rate = {o.name: o for o in outputs if o.kind == "rate"}
     blocks: list[Block] = []
     start: list[np.ndarray] = []
-    rates: list[Any] = []
+    rates: list[sp.csr_array] = []
     state_of: dict[str, str] = {}
 
-    def add(owner: str, block: Block, value: Any, row: Any) -> None:
+    def add(owner: str, block: Block, value: Start, row: sp.csr_array) -> None:
         try:
             start.append(np.broadcast_to(np.asarray(value, float), block.shape).ravel())
         except ValueError:
@@ -263,7 +263,7 @@ def _hidden_row(
     if output.kind == "memoryless" and is_matrix(port.element):
         return _matrix_row(graph, port.element, output, inner)
     if output.kind == "memoryless":
-        return sp.csr_array(sp.diags_array(sign * output.constant) @ inner[port.name])
+        return sp.csr_array(sp.diags_array(sign * constants_of(output)) @ inner[port.name])
     behind = inner[port.name]
     used = np.unique(behind.indices[behind.data != 0])
     for other in outputs:
@@ -279,7 +279,7 @@ def _hidden_row(
             f"storage {port.name!r} is dependent on the {kind} {other.name!r}: its rate would "
             "need a derivative of that; put a resistor between, or make it linear and constant"
         )
-    return sp.csr_array(sp.diags_array(sign * output.constant) @ behind @ K @ rate)
+    return sp.csr_array(sp.diags_array(sign * constants_of(output)) @ behind @ K @ rate)
 
 
 def _matrix_row(
@@ -289,7 +289,7 @@ def _matrix_row(
     port = graph.ports[output.index]
     a, b = graph.two_port_sides(element)
     shape_in, shape_out = graph.shapes[a.bond], graph.shapes[b.bond]
-    M = sp.csr_array(element.ratio)
+    M = matrix_of(element)
     if len(shape_in) == len(shape_out) == 2 and shape_in[1] == shape_out[1]:
         if M.shape == (shape_out[0], shape_in[0]):
             M = sp.csr_array(sp.kron(M, sp.eye_array(shape_in[1])))
@@ -304,7 +304,7 @@ def _matrix_row(
     return sp.csr_array(M.T @ inner[b.name] if port == a else M @ inner[a.name])
 
 
-def _eliminate(Gw: sp.csc_array, rhs: Any, hidden: list[Output]) -> sp.csc_array:
+def _eliminate(Gw: sp.csc_array, rhs: sp.csr_array, hidden: list[Output]) -> sp.csc_array:
     """w = (I - Gw)^-1 rhs: a finite sum where no loop closes, else one sparse factorisation."""
     total = sp.csc_array(rhs)
     term = total
@@ -330,7 +330,7 @@ def _eliminate(Gw: sp.csc_array, rhs: Any, hidden: list[Output]) -> sp.csc_array
     return sp.csc_array(w)
 
 
-def _clean(matrix: Any) -> sp.csr_array:
+def _clean(matrix: sp.csr_array | sp.csc_array) -> sp.csr_array:
     out = sp.csr_array(matrix)
     out.sum_duplicates()
     out.eliminate_zeros()

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
+import scipy.sparse as sp
 
-from cellsys.bondgraph.elements import GY, TF, C, I, R
+from cellsys.bondgraph.elements import GY, TF, C, I, R, Se, Sf
 from cellsys.bondgraph.junctions import is_matrix, is_modulated
 from cellsys.bondgraph.outputs import Output
 from cellsys.bondgraph.state_equations import StateEquations
 
 
-def _terms(equations: StateEquations, row: Any) -> list[tuple[float, str]]:
+def _terms(equations: StateEquations, row: sp.csr_array) -> list[tuple[float, str]]:
     """(coefficient, output name) of one row over y; a vector element counts once."""
     out = []
-    row = row.tocsr()
     coefficients = dict(zip(row.indices, row.data, strict=True))
     for o in equations.structure.outputs:
         for k in range(o.place.start, o.place.stop):
@@ -38,7 +38,7 @@ def _sum(terms: list[tuple[float, str]]) -> str:
     return text[3:] if text.startswith(" + ") else "-" + text[3:]
 
 
-def _law(equations: StateEquations, o: Output, show: Any) -> str:
+def _law(equations: StateEquations, o: Output, show: Callable[[str], str]) -> str:
     """Right-hand side of one constitutive law, with the names of what it depends on."""
     graph, S = equations.graph, equations.structure
     if o.kind == "rate":
@@ -46,7 +46,8 @@ def _law(equations: StateEquations, o: Output, show: Any) -> str:
     port = graph.ports[o.index]
     element = port.element
     if o.kind == "source":
-        return f"{show(o.name)}(t)" if callable(element.value) else f"{element.value}"
+        value = element.value if isinstance(element, (Se, Sf)) else None
+        return f"{show(o.name)}(t)" if callable(value) else f"{value}"
     if is_modulated(element) or is_matrix(element):
         a, b = graph.two_port_sides(element)
         other = b if port == a else a

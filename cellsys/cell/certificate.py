@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -39,7 +38,7 @@ def card_of(
     growth = fastest_growth(model.pole_set())
     norm = model.dynamics.norm()
     index = model.dynamics.passivity_index()
-    facts: dict[str, Any] = {
+    facts: dict[str, object] = {
         "data hashes": data_hash(data),
         "order per charge": [b.size for b in model.dynamics.blocks] + ["and the centroid"],
         "representation error": representation_error(model, records),
@@ -99,22 +98,25 @@ def sensor_of(
     if any(run.d is None or run.d.shape[1] != 1 for run in data.runs):
         return None
 
-    def samples(of: Snapshots, rows: Sequence[CellRecord]) -> tuple[list, list]:
+    def samples(
+        of: Snapshots, rows: Sequence[CellRecord]
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         every = stride(of, model.dt)
         return (
             [model.encode_cell(r.nodes, r.loads) for r in rows],
             [np.asarray(of.runs[r.run].d)[: r.steps * every + 1 : every, 0] for r in rows],
         )
 
-    shown = samples(test, held_out) if test is not None and held_out else (None, None)
+    latent, directions = samples(data, records)
+    shown, told = samples(test, held_out) if test is not None and held_out else (None, None)
     if "matrix.stiffness" not in data.geometry:
-        return fit_sensor(*samples(data, records), *shown)
+        return fit_sensor(latent, directions, shown, told)
     known = StiffnessMap(data.geometry["matrix.rest"][:, :2], data.geometry["matrix.stiffness"])
     moments = moments_of(data, records, model.dt)
     block = model.dynamics.blocks[1].size
     first = model.dynamics.starts()[1] + np.arange(block)
     return fit_local_sensor(
-        *samples(data, records), known, *shown, moments=moments, charge=(first, first + block)
+        latent, directions, known, shown, told, moments=moments, charge=(first, first + block)
     )
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from cellsys.cell.charged import ChargedModel
 from cellsys.cell.dynamics import CellDynamics, ChargeBlock, ReadOut
 from cellsys.cell.forecast import KINDS, ErrorBands, ValidityMonitor
 from cellsys.cell.port import PolarPort, PortSites
@@ -15,8 +16,10 @@ from cellsys.cell.representation import CHARGES, CellRepresentation, ChargeModes
 from cellsys.cell.schedule import Clock
 from cellsys.cell.shape import ShapeBasis
 from cellsys.errors import FileFormatError
+from cellsys.model.card import Card
 from cellsys.model.file import (
     EQUIVARIANT,
+    BlockRow,
     card_from,
     check_real,
     damage_of,
@@ -24,12 +27,75 @@ from cellsys.model.file import (
     layout_table,
 )
 from cellsys.model.network_sensor import sensor_from
+from cellsys.model.sensor import StiffnessSensor
 from cellsys.store.archive import load_archive, save_archive
+from cellsys.system import Layout
 
 VERSION = 2
 
 
-def write_parts(model: Any, path: str | Path) -> Path:
+class StoredModel(ChargedModel, Protocol):
+    """A cell made of charges with all that a file holds of it."""
+
+    @property
+    def sites(self) -> PortSites:
+        """Matrix nodes that the load acts on."""
+
+    @property
+    def states(self) -> Layout:
+        """Of the snapshots."""
+
+    @property
+    def auxiliaries(self) -> Layout:
+        """Of the snapshots."""
+
+    @property
+    def cell(self) -> str:
+        """Name of the cell the layout is read for."""
+
+    @property
+    def bands(self) -> ErrorBands | None:
+        """Of a forecast."""
+
+    @property
+    def monitor(self) -> ValidityMonitor | None:
+        """Ranges seen in training."""
+
+    @property
+    def card(self) -> Card | None:
+        """What it is worth."""
+
+    @property
+    def refits(self) -> np.ndarray | None:
+        """A of the models behind the error bands."""
+
+    @property
+    def left_out(self) -> str:
+        """What each was learned without."""
+
+
+class Parts(NamedTuple):
+    """What a file holds of an `EquivariantModel`: its arguments."""
+
+    dynamics: CellDynamics
+    representation: CellRepresentation
+    modes: ChargeModes
+    sites: PortSites
+    states: Layout
+    auxiliaries: Layout
+    cell: str
+    horizon: float
+    z_start: np.ndarray | None
+    sensor: StiffnessSensor | None
+    card: Card | None
+    notes: dict[str, object]
+    bands: ErrorBands | None
+    monitor: ValidityMonitor | None
+    refits: np.ndarray | None
+    left_out: str
+
+
+def write_parts(model: StoredModel, path: str | Path) -> Path:
     """Write an `EquivariantModel`, atomically."""
     dynamics, shape = model.dynamics, model.representation.shape
     arrays = {
@@ -85,8 +151,8 @@ def write_parts(model: Any, path: str | Path) -> Path:
     return save_archive(path, EQUIVARIANT, VERSION, arrays, metadata)
 
 
-def read_parts(path: str | Path) -> dict[str, Any]:
-    """Fields of an `EquivariantModel` from a file.
+def read_parts(path: str | Path) -> Parts:
+    """Arguments of an `EquivariantModel` from a file.
 
     Raises
     ------
@@ -134,28 +200,36 @@ def read_parts(path: str | Path) -> dict[str, Any]:
         )
         sites = PortSites(arrays["site nodes"], arrays["site place"], arrays["site area"])
         sensor = {k[7:]: v for k, v in arrays.items() if k.startswith("sensor ")}
-        fields = {
-            "dynamics": dynamics,
-            "representation": representation,
-            "modes": modes,
-            "sites": sites,
-            "states": layout_from(meta["states"]),
-            "auxiliaries": layout_from(meta["auxiliaries"]),
-            "cell": meta["cell"],
-            "horizon": meta["horizon"],
-            "z_start": arrays.get("z_start"),
-            "sensor": sensor_from(sensor) if sensor else None,
-            "card": card_from(meta["card"]),
-            "notes": meta["notes"],
-            "bands": _bands(arrays, meta["bands"]),
-            "monitor": _monitor(meta["monitor"]),
-            "refits": arrays.get("refits"),
-            "left_out": str(meta.get("left_out", "run")),
-        }
-    return fields
+        return Parts(
+            dynamics=dynamics,
+            representation=representation,
+            modes=modes,
+            sites=sites,
+            states=_layout(meta["states"], path),
+            auxiliaries=_layout(meta["auxiliaries"], path),
+            cell=meta["cell"],
+            horizon=meta["horizon"],
+            z_start=arrays.get("z_start"),
+            sensor=sensor_from(sensor) if sensor else None,
+            card=card_from(meta["card"]),
+            notes=meta["notes"],
+            bands=_bands(arrays, meta["bands"]),
+            monitor=_monitor(meta["monitor"]),
+            refits=arrays.get("refits"),
+            left_out=str(meta.get("left_out", "run")),
+        )
 
 
-def _bands(arrays: dict[str, np.ndarray], meta: list | None) -> ErrorBands | None:
+def _layout(table: list[BlockRow] | None, path: str | Path) -> Layout:
+    found = layout_from(table)
+    if found is None:
+        raise FileFormatError(f"{Path(path).name!r} is damaged: it names no states or auxiliaries")
+    return found
+
+
+def _bands(
+    arrays: dict[str, np.ndarray], meta: tuple[list[float], int, int] | None
+) -> ErrorBands | None:
     if meta is None:
         return None
     levels, folds, runs = meta

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.cell.dynamics import CellDynamics
+from cellsys.cell.charged import ChargedModel
 from cellsys.cell.records import CellRecord
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, ParameterError
@@ -58,7 +58,9 @@ class ErrorBands:
             )
         return np.interp(t, self.t, self.width[kind][self.levels.index(level)])
 
-    def coverage(self, misses: Sequence[dict[str, np.ndarray]], level: float = 0.95) -> dict:
+    def coverage(
+        self, misses: Sequence[dict[str, np.ndarray]], level: float = 0.95
+    ) -> dict[str, float]:
         """Share of held-out residuals inside the band, per kind."""
         out = {}
         for kind in self.width:
@@ -72,7 +74,7 @@ class ErrorBands:
         return out
 
 
-def residuals(model: Any, record: CellRecord, z: np.ndarray) -> dict[str, np.ndarray]:
+def residuals(model: ChargedModel, record: CellRecord, z: np.ndarray) -> dict[str, np.ndarray]:
     """Errors of a roll-out z (K + 1, m), each (K + 1, values)."""
     miss = model.nodes(z) - record.nodes
     load = model.reconstruct_load(z)
@@ -140,7 +142,7 @@ class ValidityMonitor:
     margin: float = 1.1
 
     @classmethod
-    def of(cls, model: Any, records: Sequence[CellRecord]) -> ValidityMonitor:
+    def of(cls, model: ChargedModel, records: Sequence[CellRecord]) -> ValidityMonitor:
         """The ranges of training records."""
         amplitudes = np.concatenate([r.amplitude for r in records])
         turns = [np.abs(_turns(r.heading)).max(initial=0.0) for r in records]
@@ -160,7 +162,7 @@ class ValidityMonitor:
 
     def check(
         self,
-        model: Any,
+        model: ChargedModel,
         t: np.ndarray,
         z: np.ndarray,
         amplitude: np.ndarray,
@@ -191,11 +193,25 @@ class ValidityMonitor:
         return sorted(found, key=lambda f: f.time)
 
 
+@runtime_checkable
+class WatchedModel(Protocol):
+    """A model that knows the ranges it was trained in."""
+
+    @property
+    def monitor(self) -> ValidityMonitor | None:
+        """Those ranges."""
+
+
 def watched(
-    model: Any, t: np.ndarray, z: np.ndarray, amplitude: np.ndarray, heading: np.ndarray, who: str
+    model: ChargedModel,
+    t: np.ndarray,
+    z: np.ndarray,
+    amplitude: np.ndarray,
+    heading: np.ndarray,
+    who: str,
 ) -> tuple[Event, ...]:
     """Flags of the model's monitor as events of a run; none for a model without one."""
-    if getattr(model, "monitor", None) is None:
+    if not isinstance(model, WatchedModel) or model.monitor is None:
         return ()
     flags = model.monitor.check(model, t, z, amplitude, heading)
     return tuple(Event(f.time, "outside the trained range", f"{who}: {f}") for f in flags)
@@ -209,10 +225,9 @@ def _turns(heading: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.angle(np.exp(1j * np.diff(heading)))])
 
 
-def _sizes(model: Any, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _sizes(model: ChargedModel, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """|x_q| (T, charges) and rms change of shape over the radius (T,)."""
-    dynamics: CellDynamics = model.dynamics
-    state = dynamics.split(np.atleast_2d(z))
+    state = model.dynamics.split(np.atleast_2d(z))
     sizes = np.stack([np.sqrt(np.sum(np.abs(x) ** 2, axis=-1)) for x in state.x], axis=-1)
     total = np.zeros(len(sizes))
     for q, features in model.modes.decode(dict(enumerate(state.x))).items():

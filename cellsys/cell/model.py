@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -78,7 +78,7 @@ class EquivariantModel(AffineModel):
     z_start: np.ndarray | None = field(default=None, kw_only=True)
     sensor: StiffnessSensor | None = field(default=None, kw_only=True)
     card: Card | None = field(default=None, kw_only=True)
-    notes: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+    notes: Mapping[str, object] = field(default_factory=dict, kw_only=True)
     bands: ErrorBands | None = field(default=None, kw_only=True)
     monitor: ValidityMonitor | None = field(default=None, kw_only=True)
     refits: np.ndarray | None = field(default=None, kw_only=True)
@@ -282,9 +282,9 @@ class EquivariantModel(AffineModel):
 
         `level` is one of the bands' levels; widths are NaN for a model without bands.
         """
-        if z0 is None and self.z_start is None:
-            raise DataError("the model has no start; pass z0=")
         start = self.z_start if z0 is None else np.asarray(z0, dtype=float)
+        if start is None:
+            raise DataError("the model has no start; pass z0=")
         amplitude, heading = np.asarray(amplitude, float), np.asarray(heading, float)
         if amplitude.ndim != 1 or amplitude.shape != heading.shape or not len(amplitude):
             raise DimensionError(
@@ -323,9 +323,9 @@ class EquivariantModel(AffineModel):
         FileFormatError
             Anything else than a whole equivariant model, or one whose norm exceeds 1.
         """
-        fields = read_parts(path)
+        parts = read_parts(path)
         try:
-            model = cls(**fields)
+            model = cls(**parts._asdict())
         except (KeyError, TypeError, ValueError) as error:
             raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
         certified = bool(model.notes.get("contractive", True))

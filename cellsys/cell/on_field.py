@@ -16,14 +16,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
 
 from cellsys.arguments import checked
+from cellsys.cell.charged import ChargedModel
 from cellsys.cell.dynamics import CellState
-from cellsys.cell.model import EquivariantModel
 from cellsys.cell.port import Footprint, PortSites
 from cellsys.contracts import SteppedField
 from cellsys.errors import DataError, DimensionError, IntegrationError
@@ -78,7 +77,7 @@ class CellsOnField:
         Most passes of one step.
     """
 
-    model: EquivariantModel
+    model: ChargedModel
     field: SteppedField
     _: KW_ONLY
     tolerance: float = 1e-5
@@ -118,7 +117,7 @@ class CellsOnField:
         amplitude: np.ndarray,
         heading: np.ndarray,
         t: float,
-        memory: Any = None,
+        memory: object = None,
         parts: int = 1,
     ) -> tuple[PortedState, int]:
         """One step from t under amplitude and heading (K,); returns the exchanges it took.
@@ -146,15 +145,15 @@ class CellsOnField:
                 for a, b, block in zip(state.cells.x, x, dynamics.blocks, strict=True)
             ]
 
-        def answer(load: np.ndarray | None) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
-            """Field, cells and load that follow from a load (None: the field's last velocity)."""
-            q = None
-            rate = state.rate
-            if load is not None:
-                q = self._field(state.q, load, t, memory, parts)
-                rate = (q - state.q) / dt
+        def back_of(rate: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+            """Cells and load that follow from the field's velocity."""
             x = self._ported(free, self._gather(under, rate), w)
-            return q, x, self._project(under, pulls(x))
+            return x, self._project(under, pulls(x))
+
+        def answer(load: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+            """Field, cells and load that follow from a load."""
+            q = self._field(state.q, load, t, memory, parts)
+            return q, *back_of((q - state.q) / dt)
 
         if self.cascade:
             # The loads do not depend on what they do to the field: one pass is exact.
@@ -162,7 +161,7 @@ class CellsOnField:
             q = self._field(state.q, load, t, memory, parts)
             x, exchanges = free, 1
         else:
-            load, exchanges = answer(None)[2], 1
+            load, exchanges = back_of(state.rate)[1], 1
             q, x, back = answer(load)
             mixing = Mixing()
             while np.linalg.norm(back - load) > self.tolerance * np.linalg.norm(back):
@@ -186,7 +185,7 @@ class CellsOnField:
         return PortedState(cells, q, rate), exchanges
 
     def _field(
-        self, q: np.ndarray, load: np.ndarray, t: float, memory: Any, parts: int
+        self, q: np.ndarray, load: np.ndarray, t: float, memory: object, parts: int
     ) -> np.ndarray:
         h = self.model.dt / parts
         for i in range(parts):
@@ -355,6 +354,6 @@ class CommandedRun(StepRun):
         self.exchanges = max(self.exchanges, used)
         return system.whole.pack(state)
 
-    def statistics(self) -> Mapping[str, Any]:
+    def statistics(self) -> Mapping[str, float]:
         """Greatest number of exchanges in a step."""
         return {"exchanges": self.exchanges}

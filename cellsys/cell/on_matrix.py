@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.cell.model import EquivariantModel
 from cellsys.cell.on_field import CellsOnField
 from cellsys.cell.records import CellRecord, read_records, stride
-from cellsys.contracts import MatrixField
-from cellsys.errors import DataError
+from cellsys.contracts import SteppedField
+from cellsys.errors import DataError, ParameterError
 from cellsys.samples.snapshots import Snapshots
 
 
 def matrix_row(
-    model: EquivariantModel, field: Any, test: Snapshots, known: Snapshots
+    model: EquivariantModel, field: SteppedField, test: Snapshots, known: Snapshots
 ) -> dict[str, float]:
     """Row ``matrix`` of the card: whole roll-outs of the cell on its field, commands only as input.
 
@@ -70,11 +68,13 @@ def matrix_row(
 
 @checked
 def with_matrix(
-    model: EquivariantModel, field: MatrixField, test: Snapshots, known: Snapshots
+    model: EquivariantModel, field: SteppedField, test: Snapshots, known: Snapshots
 ) -> EquivariantModel:
     """The model with `matrix_row` on its card."""
     from dataclasses import replace
 
+    if model.card is None:
+        raise ParameterError("the model has no card to write the row on; train it with Equivariant")
     row = matrix_row(model, field, test, known)
     held_out = {**model.card.held_out, "matrix": row}
     facts = {**model.card.facts, "field": f"{type(field).__name__}, order {field.order}"}

@@ -119,6 +119,8 @@ def _record(
         under[k].gather((moved[k + 1] - moved[k])[under[k].nodes] / dt) for k in range(steps)
     ]
     table = data.commands_of(run, tuple(f"{name}.{c}" for c in ("amplitude", "cos", "sin")))
+    if table is None:
+        raise DataError(f"{label}: no commands (heading and amplitude) were recorded")
     mean = table[: steps * every].reshape(steps, every, 3).mean(axis=1)
     run.release()
     return CellRecord(

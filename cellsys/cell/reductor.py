@@ -167,12 +167,12 @@ class Equivariant:
             rows = self._rows(q, records, features, representation, modes)
             best, losses = self._train(rows)
             trained[q], history[str(q)] = (best, rows), losses
-        modes = modes.in_norm({q: p.S for q, (p, _) in trained.items()})
+        modes = modes.in_norm({q: p.norm for q, (p, _) in trained.items()})
         blocks = []
         for q, (p, rows) in trained.items():
             p = replace(p, gamma=port_gain(p, rows))
             C = modes.decoder[q][-representation.load_size(q) :] / representation.load_weight
-            blocks.append(ChargeBlock(p.A, p.S @ p.B, p.gamma, C))
+            blocks.append(ChargeBlock(p.A, p.norm @ p.B, p.gamma, C))
             if q == 1:
                 alone, riding = self._read_outs(records, features, *in_norm(p, rows))
         dynamics = CellDynamics(
@@ -308,12 +308,13 @@ class Equivariant:
 
 def in_norm(p: ChargeParameters, rows: ChargeData) -> tuple[ChargeParameters, ChargeData]:
     """Parameters and rows in the coordinates S x, where the norm of A is the plain one."""
+    S = p.norm
     moved = replace(
         rows,
-        x=rows.x @ p.S.T,
-        v=sla.solve(p.S.T, rows.v.reshape(-1, len(p.S)).T).T.reshape(rows.v.shape),
+        x=rows.x @ S.T,
+        v=sla.solve(S.T, rows.v.reshape(-1, len(S)).T).T.reshape(rows.v.shape),
     )
-    return ChargeParameters(p.A, p.S @ p.B, p.gamma), moved
+    return ChargeParameters(p.A, S @ p.B, p.gamma), moved
 
 
 def charge_data(

@@ -65,6 +65,11 @@ class ChargeParameters:
     gamma: float = 0.0
     S: np.ndarray | None = None
 
+    @property
+    def norm(self) -> np.ndarray:
+        """S (m, m), the identity where there is none."""
+        return np.eye(self.A.shape[-1]) if self.S is None else self.S
+
     def copy(self) -> ChargeParameters:
         """An independent copy."""
         S = None if self.S is None else self.S.copy()
@@ -246,7 +251,9 @@ def train(
             mean, size = first / (1 - 0.9 ** (i + 1)), second / (1 - 0.99 ** (i + 1))
             setattr(p, name, getattr(p, name) - step * mean / (np.sqrt(size) + 1e-12))
         if bound is not None:
-            p.A, p.S = clip(p.A, bound), _conditioned(p.S)
+            p.A = clip(p.A, bound)
+            if p.S is not None:
+                p.S = _conditioned(p.S)
     return best, history
 
 

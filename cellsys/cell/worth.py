@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
@@ -210,7 +209,9 @@ def realisation_floor(
     }
 
 
-def representation_error(model: EquivariantModel, records: Sequence[CellRecord]) -> dict[str, Any]:
+def representation_error(
+    model: EquivariantModel, records: Sequence[CellRecord]
+) -> dict[str, float]:
     """What the coordinates lose before any reduction: um rms per node, and over the motion."""
     representation = model.representation
     misses, shares = [], []

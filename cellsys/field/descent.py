@@ -17,6 +17,9 @@ import numpy as np
 
 from cellsys.errors import IntegrationError
 
+# Secant pairs: steps s, changes of the gradient y, and s . y.
+Pairs = deque[tuple[np.ndarray, np.ndarray, float]]
+Solve = Callable[[np.ndarray], np.ndarray]
 _PAIRS = 12  # kept secant pairs
 _HALVINGS = 12  # of one step length
 _ROUND = 12  # corrections with one fresh tangent
@@ -56,7 +59,7 @@ class StepMemory:
     It saves evaluations and changes a result only within the tolerance.
     """
 
-    pairs: deque = field(default_factory=lambda: deque(maxlen=_PAIRS))
+    pairs: Pairs = field(default_factory=lambda: deque(maxlen=_PAIRS))
     dt: float | None = None
     q: np.ndarray | None = None
     force: np.ndarray | None = None
@@ -79,7 +82,7 @@ class StepProblem:
     fresh: Callable[[np.ndarray], Callable[[np.ndarray], np.ndarray]]
 
 
-def _direction(g: np.ndarray, pairs: deque, solve: Callable) -> np.ndarray:
+def _direction(g: np.ndarray, pairs: Pairs, solve: Solve) -> np.ndarray:
     """-H g, H the inverse Hessian of the kept factorisation and the secant pairs (L-BFGS)."""
     a, d = [], -g
     for s, y, sy in reversed(pairs):
@@ -131,7 +134,7 @@ class _Descent:
         F: np.ndarray,
         tolerance: float,
         cap: int,
-        solve: Callable,
+        solve: Solve,
         monotone: bool = False,
     ) -> tuple[np.ndarray, np.ndarray, float]:
         """Quasi-Newton from q until the residual is below tolerance or the cap is met.

@@ -9,13 +9,11 @@ scene says.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.sparse as sp
 
 from cellsys.errors import ParameterError, SceneError
-from cellsys.mechanics.effects.fibre_bending import bend_forces
+from cellsys.mechanics.effects.fibre_bending import BendingElement, bend_forces
 from cellsys.mechanics.effects.matrix import MATRIX, FibreElement
 from cellsys.mechanics.effects.protocol import Configuration
 from cellsys.mechanics.geometry.disc import StiffnessAssembly
@@ -116,7 +114,7 @@ class MatrixEnergy:
             along, across = np.full(len(d.fibres), float(slope)), np.zeros(len(d.fibres))
         K = self._assembly(x, along * d.stiffness, across)
         for element in self._others:
-            if element.name == _BENDING:
+            if isinstance(element, BendingElement):
                 K = K + bending_tangent(element, u)
                 continue
             # A linear law: the bound it states for the integrator is its stiffness itself.
@@ -141,6 +139,8 @@ class MatrixEnergy:
         """
         if at not in ("average", "end"):
             raise ParameterError(f"at must be 'average' or 'end', got {at!r}")
+        if run.W_eta is None:
+            raise ParameterError("run carries no junction matrix: its loads cannot be told")
         rows = run.states.slice(_STATE)
         total = self.drag * np.asarray(run.u)[:, rows]
         W = self.drag * sp.csc_array(run.W_eta)[rows]
@@ -158,7 +158,7 @@ class MatrixEnergy:
         return total.reshape(len(total), self.n, 3)
 
 
-def bending_tangent(element: Any, u: np.ndarray) -> sp.csc_array:
+def bending_tangent(element: BendingElement, u: np.ndarray) -> sp.csc_array:
     """Hess of the bending energy (3n, 3n), pN/um, by central differences of `bend_forces`.
 
     Every triple of nodes is set apart, so that 18 evaluations give all 9 x 9 blocks at once.

@@ -8,10 +8,13 @@ y = E q' [notes: theory, load ports].
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any
+from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
+import scipy.sparse as sp
 
 from cellsys.errors import DataError, DimensionError, IntegrationError, ParameterError
 from cellsys.field.descent import StepInfo, StepMemory, StepProblem, implicit_step
@@ -21,8 +24,10 @@ from cellsys.field.stepping import FieldSystem
 from cellsys.integrate.simulate import simulate
 from cellsys.trajectory import Trajectory
 
+_Form = TypeVar("_Form", np.ndarray, sp.csc_array)
 
-class GradientField(LinearisedField):
+
+class GradientField(LinearisedField[_Form]):
     """Common part of `GalerkinField` and the full field; subclasses give coordinates and solves.
 
     Attributes
@@ -41,7 +46,6 @@ class GradientField(LinearisedField):
 
     matrix: MatrixEnergy
     order: int
-    modes: Any
     linear: bool
     slope: float
     tolerance: float
@@ -49,25 +53,25 @@ class GradientField(LinearisedField):
 
     # What a subclass gives
 
+    @abstractmethod
     def _lift(self, q: np.ndarray) -> np.ndarray:
-        raise NotImplementedError
+        """u = U q (n, 3) of one q (order,)."""
 
+    @abstractmethod
     def _reduce(self, f: np.ndarray) -> np.ndarray:
-        raise NotImplementedError
+        """U^T f (order,) of one f (n, 3)."""
 
-    def _compress(self, K: Any) -> Any:
-        raise NotImplementedError
+    @abstractmethod
+    def _compress(self, K: sp.csc_array) -> _Form:
+        """U^T K U (order, order) of K (3 n, 3 n)."""
 
-    def _solver(self, K: Any, shift: float) -> Callable[[np.ndarray], np.ndarray]:
-        raise NotImplementedError
+    @abstractmethod
+    def _solver(self, K: _Form, shift: float) -> Callable[[np.ndarray], np.ndarray]:
+        """Solves (K + shift I) x = r."""
 
-    def project(self, f: np.ndarray) -> np.ndarray:
-        """U^T f: nodal loads (..., n, 3), pN, to loads on the coordinates (..., order)."""
-        raise NotImplementedError
-
+    @abstractmethod
     def displacement(self, q: np.ndarray) -> np.ndarray:
         """u = U q, um: (..., order) to (..., n, 3); velocities and rates alike."""
-        raise NotImplementedError
 
     # Matrix
 
@@ -97,11 +101,13 @@ class GradientField(LinearisedField):
     # Energy
 
     @property
-    def stiffness(self) -> Any:
+    def stiffness(self) -> _Form:
         """Hess U at rest, (order, order), pN/um; symmetric."""
-        if "rest" not in self._kept:
-            self._kept["rest"] = self._compress(self.matrix.tangent(np.zeros_like(self.nodes)))
-        return self._kept["rest"]
+        return self._rest
+
+    @cached_property
+    def _rest(self) -> _Form:
+        return self._compress(self.matrix.tangent(np.zeros_like(self.nodes)))
 
     def energy(self, q: np.ndarray) -> float:
         """U(q), pN um, 0 at rest."""
@@ -117,7 +123,7 @@ class GradientField(LinearisedField):
             return -(self.stiffness @ q)
         return self._reduce(self.matrix.force(self._lift(q)))
 
-    def tangent(self, q: np.ndarray) -> Any:
+    def tangent(self, q: np.ndarray) -> _Form:
         """Hess U at q (order, order), pN/um; indefinite where fibres under compression push."""
         q = self._checked(q, "q")
         if self.linear:
@@ -222,22 +228,21 @@ class GradientField(LinearisedField):
 
     # Solves and checks
 
-    @property
-    def _kept(self) -> dict[Any, Any]:
-        return self.__dict__.setdefault("_cache", {})
+    @cached_property
+    def _bound(self) -> _Form:
+        """Hess U with every fibre at `slope`."""
+        return self._compress(self.matrix.tangent(np.zeros_like(self.nodes), self.slope))
+
+    @cached_property
+    def _solvers(self) -> dict[float, Callable[[np.ndarray], np.ndarray]]:
+        """By dt."""
+        return {}
 
     def _kept_solver(self, dt: float) -> Callable[[np.ndarray], np.ndarray]:
-        key = ("factor", float(dt))
-        if key not in self._kept:
-            if self.linear:
-                K = self.stiffness
-            else:
-                if "bound" not in self._kept:
-                    rest = np.zeros_like(self.nodes)
-                    self._kept["bound"] = self._compress(self.matrix.tangent(rest, self.slope))
-                K = self._kept["bound"]
-            self._kept[key] = self._solver(K, self.drag / dt)
-        return self._kept[key]
+        if float(dt) not in self._solvers:
+            K = self.stiffness if self.linear else self._bound
+            self._solvers[float(dt)] = self._solver(K, self.drag / dt)
+        return self._solvers[float(dt)]
 
     def _fresh_solver(self, q: np.ndarray, dt: float) -> Callable[[np.ndarray], np.ndarray]:
         # Tension only: compression would make it indefinite, and a direction could lead uphill.

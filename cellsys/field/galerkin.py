@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg as sla
+import scipy.sparse as sp
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
@@ -22,7 +23,7 @@ from cellsys.units import real_array
 
 @checked
 @dataclass(frozen=True, eq=False)
-class GalerkinField(GradientField):
+class GalerkinField(GradientField[np.ndarray]):
     """Galerkin projection of the matrix's own fibre energy on load-response modes.
 
         C_e q' = -d/dq U(U q) + U^T f        u = U q, U^T U = I   [notes: theory, matrix field]
@@ -153,20 +154,24 @@ class GalerkinField(GradientField):
 
     def _lift(self, q: np.ndarray) -> np.ndarray:
         # Force and energy are asked for at the same q, one after the other.
-        kept = self._kept.get("lifted")
-        if kept is not None and np.array_equal(kept[0], q):
-            return kept[1]
+        if self._lifted and np.array_equal(self._lifted[0][0], q):
+            return self._lifted[0][1]
         u: np.ndarray = np.zeros(3 * self.matrix.n)
         u[self.matrix.free] = self._rows @ q
         u = u.reshape(-1, 3)
         u.setflags(write=False)
-        self._kept["lifted"] = (np.array(q), u)
+        self._lifted[:] = [(np.array(q), u)]
         return u
+
+    @cached_property
+    def _lifted(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The last q, and its u."""
+        return []
 
     def _reduce(self, f: np.ndarray) -> np.ndarray:
         return f.ravel()[self.matrix.free] @ self._rows
 
-    def _compress(self, K: Any) -> np.ndarray:
+    def _compress(self, K: sp.csc_array) -> np.ndarray:
         free = self.matrix.free
         small = self._rows.T @ (K[free][:, free] @ self._rows)
         return 0.5 * (small + small.T)
@@ -176,7 +181,7 @@ class GalerkinField(GradientField):
         return lambda r: sla.cho_solve(factor, r, check_finite=False)
 
 
-def _given_modes(modes: Any, matrix: MatrixEnergy) -> np.ndarray:
+def _given_modes(modes: np.ndarray, matrix: MatrixEnergy) -> np.ndarray:
     modes = real_array(modes, "modes").copy()
     if modes.ndim != 2 or len(modes) != 3 * matrix.n or modes.shape[1] < 1:
         raise DimensionError(f"modes must be ({3 * matrix.n}, order), got {modes.shape}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,7 +18,7 @@ from cellsys.mechanics.spreading import SpreadingSystem
 
 @checked
 @dataclass(frozen=True, eq=False)
-class FullField(GradientField):
+class FullField(GradientField[sp.csc_array]):
     """The matrix on its free coordinates: modes are unit vectors, solves are sparse.
 
     Parameters as in `GalerkinField`; tangents are sparse.
@@ -65,7 +64,7 @@ class FullField(GradientField):
     def _reduce(self, f: np.ndarray) -> np.ndarray:
         return f.ravel()[self.matrix.free]
 
-    def _compress(self, K: Any) -> sp.csc_array:
+    def _compress(self, K: sp.csc_array) -> sp.csc_array:
         free = self.matrix.free
         return sp.csc_array(K[free][:, free])
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Generic, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,21 +22,55 @@ from cellsys.kinds import FILLED
 from cellsys.model.latent import LatentModel
 from cellsys.state_space import state_space
 from cellsys.store.memory import size_text
-from cellsys.system import Block, Layout, is_sparse
+from cellsys.system import Block, Layout
+
+if TYPE_CHECKING:
+    import control
 
 
-class LinearisedField:
+_Form = TypeVar("_Form", np.ndarray, sp.csc_array)  # how modes and tangents are kept
+Ports = Annotated[
+    Mapping[str, np.ndarray] | np.ndarray,
+    "load patterns (n, 3) by name, an array of them (p, n, 3), or numbers of nodes",
+]
+
+
+class LinearisedField(ABC, Generic[_Form]):
     """Plant, model and passivity of a field; `GradientField` adds energy and steps."""
 
     order: int
-    modes: Any
-    nodes: np.ndarray
-    drag: float
-    stiffness: Any
-    energy: Callable[[np.ndarray], float]
-    force: Callable[[np.ndarray], np.ndarray]
-    tangent: Callable[[np.ndarray], Any]
-    project: Callable[[np.ndarray], np.ndarray]
+    modes: _Form
+
+    @property
+    @abstractmethod
+    def nodes(self) -> np.ndarray:
+        """Rest positions (n, 3), um."""
+
+    @property
+    @abstractmethod
+    def drag(self) -> float:
+        """Of every node, pN s/um."""
+
+    @property
+    @abstractmethod
+    def stiffness(self) -> _Form:
+        """Hess U at rest (order, order), pN/um."""
+
+    @abstractmethod
+    def energy(self, q: np.ndarray) -> float:
+        """U(q), pN um."""
+
+    @abstractmethod
+    def force(self, q: np.ndarray) -> np.ndarray:
+        """-dU/dq (order,), pN."""
+
+    @abstractmethod
+    def tangent(self, q: np.ndarray) -> _Form:
+        """Hess U at q (order, order), pN/um."""
+
+    @abstractmethod
+    def project(self, f: np.ndarray) -> np.ndarray:
+        """U^T f: nodal loads (..., n, 3), pN, to loads on the coordinates (..., order)."""
 
     def _dense_tangent(self, at: np.ndarray | None, what: str) -> np.ndarray:
         if self.order > MOST_DENSE:
@@ -45,9 +80,11 @@ class LinearisedField:
                 "use GalerkinField"
             )
         K = self.stiffness if at is None else self.tangent(at)
-        return K.toarray() if is_sparse(K) else np.array(K)
+        return np.array(K) if isinstance(K, np.ndarray) else K.toarray()
 
-    def plant(self, ports: Any, *, output: str = "velocity", at: np.ndarray | None = None) -> Any:
+    def plant(
+        self, ports: Ports, *, output: str = "velocity", at: np.ndarray | None = None
+    ) -> control.StateSpace:
         """The field between load ports as `control.StateSpace`, linearised at rest or at q = `at`.
 
             C_e q' = -K q + E^T f ,   y = E q' (collocated velocities) or E q
@@ -82,7 +119,7 @@ class LinearisedField:
             name=f"field_q{self.order}",
         )
 
-    def model(self, ports: Any = None, *, at: np.ndarray | None = None) -> LatentModel:
+    def model(self, ports: Ports | None = None, *, at: np.ndarray | None = None) -> LatentModel:
         """The linearised field as a continuous `LatentModel`: poles, responses, files.
 
             q' = A q + B f + b,   A = -K/C_e,  B = E^T/C_e,  b = (F + K at)/C_e
@@ -99,7 +136,7 @@ class LinearisedField:
         offset = FILLED
         if at is not None:
             offset = (self.force(at) + K @ np.asarray(at, dtype=float)) / self.drag
-        V = self.modes.toarray() if is_sparse(self.modes) else self.modes
+        V = self.modes if isinstance(self.modes, np.ndarray) else self.modes.toarray()
         return LatentModel(
             A=-K / self.drag,
             B=E.T / self.drag,

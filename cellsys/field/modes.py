@@ -10,7 +10,6 @@ buckle (`analysis/field_truth.py` prints both; projection floors are nearly the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
@@ -21,6 +20,7 @@ from cellsys.errors import DataError, DimensionError, RankError
 from cellsys.field.elasticity import MatrixEnergy
 from cellsys.trajectory import Trajectory
 
+MatrixRuns = np.ndarray | Trajectory | Sequence[np.ndarray | Trajectory]
 _PATCH = 14.0  # um: reach of a load patch, that of a spread cell
 _HAT = 2.0  # um between the radial hats
 _ORDERS = 4  # azimuthal orders 0 .. 4
@@ -29,7 +29,7 @@ _LARGEST = (0.1, 1.0)  # um: greatest displacement of a response, as cells cause
 _SWEEPS = 6  # modified Newton sweeps of a response; 3 % of the load is left
 
 
-def symmetric_factor(matrix: Any) -> Any:
+def symmetric_factor(matrix: sp.csc_array) -> spla.SuperLU:
     """Sparse LU of a symmetric positive definite matrix; ``.solve`` takes (n,) or (n, k)."""
     return spla.splu(
         sp.csc_matrix(matrix),
@@ -100,14 +100,17 @@ def responses(
     return u / scale[:, None]
 
 
-def displacements(matrix: MatrixEnergy, snapshots: Any) -> np.ndarray:
+def displacements(matrix: MatrixEnergy, snapshots: MatrixRuns) -> np.ndarray:
     """Free displacements (k, n_free) of runs or of an array (k, n, 3) or (k, 3 n), um."""
-    items: Sequence[Any] = snapshots if isinstance(snapshots, (list, tuple)) else (snapshots,)
+    items: Sequence[np.ndarray | Trajectory] = (
+        snapshots if isinstance(snapshots, (list, tuple)) else (snapshots,)
+    )
     rows = []
     for item in items:
         if isinstance(item, Trajectory):
-            item = item.block("matrix.displacement")
-        array = np.asarray(item, dtype=float)
+            array = np.asarray(item.block("matrix.displacement"), dtype=float)
+        else:
+            array = np.asarray(item, dtype=float)
         array = array.reshape(len(array), -1) if array.ndim > 1 else array[None]
         if array.shape[1] != 3 * matrix.n:
             raise DimensionError(
@@ -125,7 +128,7 @@ def response_modes(
     *,
     linear: bool,
     seed: int,
-    snapshots: Any,
+    snapshots: MatrixRuns | None,
     places: int,
     per_place: int,
     slope: float,

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
+import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.shown import Shown
-from cellsys.system import is_sparse
 
 MOST_DENSE = 3000  # coordinates: beyond, dense matrices and their eigenvalues take minutes
 _ANGLES = 400  # frequencies on the unit circle
@@ -69,7 +68,9 @@ class FieldPassivity(Shown):
         )
 
 
-def port_patterns(ports: Any, n: int) -> tuple[np.ndarray, list[str]]:
+def port_patterns(
+    ports: Mapping[str, np.ndarray] | np.ndarray, n: int
+) -> tuple[np.ndarray, list[str]]:
     """Load patterns (p, n, 3) and their names.
 
     Parameters
@@ -104,9 +105,9 @@ def port_patterns(ports: Any, n: int) -> tuple[np.ndarray, list[str]]:
     return patterns, names
 
 
-def least_eigenvalue(K: Any) -> tuple[float, float]:
+def least_eigenvalue(K: np.ndarray | sp.csc_array) -> tuple[float, float]:
     """(least, greatest) eigenvalue of a symmetric matrix, dense or sparse."""
-    if not is_sparse(K):
+    if isinstance(K, np.ndarray):
         w = sla.eigvalsh(K)
         return float(w[0]), float(w[-1])
     start = np.ones(K.shape[0])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -72,7 +71,7 @@ class FieldRun(StepRun):
         self.infos.append(info)
         return q
 
-    def statistics(self) -> Mapping[str, Any]:
+    def statistics(self) -> Mapping[str, float]:
         """Evaluations, halvings, fresh tangents, largest residual and least balance, pN um."""
         infos = self.infos
         return {

@@ -110,17 +110,17 @@ def card_from(table: dict[str, Any] | None) -> Card | None:
     return Card(**(table | tuples))
 
 
-_Row = tuple[str, list[int], str, str, str]  # of a Block; JSON makes it a list
+BlockRow = tuple[str, list[int], str, str, str]  # of a Block; JSON makes it a list
 
 
-def layout_table(layout: Layout | None) -> list[_Row] | None:
+def layout_table(layout: Layout | None) -> list[BlockRow] | None:
     """A layout as plain values."""
     if layout is None:
         return None
     return [(b.name, list(b.shape), b.unit, b.role, b.kind) for b in layout]
 
 
-def layout_from(table: list[_Row] | None) -> Layout | None:
+def layout_from(table: list[BlockRow] | None) -> Layout | None:
     """A layout from plain values."""
     if table is None:
         return None

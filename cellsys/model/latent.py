@@ -305,13 +305,12 @@ class LatentModel(AffineModel):
         return head if self.card is None else f"{head}\n{self.card}"
 
 
-@checked
-def basis_of(model: ReducedModel, what: str) -> np.ndarray:
-    """V (n + n_eta, m) of a model whose coordinates have a basis; else refused by name.
+def with_basis(model: object, what: str) -> tuple[LatentModel, np.ndarray]:
+    """The model and its V (n + n_eta, m) where its coordinates have a basis; else refused by name.
 
     Parameters
     ----------
-    model : ReducedModel
+    model : object
     what : str
         What needs V, for the message.
 
@@ -320,10 +319,15 @@ def basis_of(model: ReducedModel, what: str) -> np.ndarray:
     RepresentationError
         A model of another kind, or a `LatentModel` given without V.
     """
-    V = model.V if isinstance(model, LatentModel) else None
-    if V is None:
+    if not isinstance(model, LatentModel) or model.V is None:
         raise RepresentationError(
             f"{what} needs the rows of V, and this {type(model).__name__} has none; use LoadPorts, "
             "or a model reduced with PCR or LeastSquares (a LatentModel made from arrays: pass V=)"
         )
-    return V
+    return model, model.V
+
+
+@checked
+def basis_of(model: ReducedModel, what: str) -> np.ndarray:
+    """V alone; see `with_basis`."""
+    return with_basis(model, what)[1]

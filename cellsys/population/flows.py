@@ -2,14 +2,40 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from cellsys.contracts import Cells
 from cellsys.loop import ClosedLoop
-from cellsys.population.headings import commands, sensed, turn
+from cellsys.population.headings import commands, sensed, steering, turn
+from cellsys.population.poleset import PoleSet
 from cellsys.system import Block, SymbolicForm
+
+if TYPE_CHECKING:
+    import casadi as ca
+
+
+class NamedCoupling(Protocol):
+    """A coupling with a name."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+
+
+class BlamedCells(Protocol):
+    """What an error says of cells that grow beyond all bounds."""
+
+    @property
+    def n_cells(self) -> int:
+        """K."""
+
+    @property
+    def coupling(self) -> NamedCoupling:
+        """Which coupling."""
+
+    def pole_set(self) -> PoleSet:
+        """Whose abscissa is the growth rate."""
 
 
 class LinearFlow(Protocol):
@@ -39,7 +65,7 @@ class CellFlows:
     """
 
     def __init__(
-        self, cells: Cells, flow: LinearFlow, loop: ClosedLoop | None, shape: tuple[int, ...]
+        self, cells: BlamedCells, flow: LinearFlow, loop: ClosedLoop | None, shape: tuple[int, ...]
     ) -> None:
         self.cells, self.linear, self.loop, self.shape = cells, flow, loop, shape
         self.turns, self.size = loop is not None, int(np.prod(shape))
@@ -57,16 +83,16 @@ class CellFlows:
 
     def drift(self, plant: np.ndarray, p: np.ndarray, h: float) -> np.ndarray:
         """The linear flow over h with p held."""
-        c = commands(self.loop, p) if self.turns else self.still
+        c = self.still if self.loop is None else commands(self.loop, p)
         return self.linear.flow(plant, c, h)
 
     def sensed(self, plant: np.ndarray) -> np.ndarray:
-        """d (K, 3)."""
-        return sensed(self.loop, self.linear.sense(plant))
+        """d (K, 3); of cells with a loop."""
+        return sensed(steering(self.loop), self.linear.sense(plant))
 
     def turn(self, plant: np.ndarray, p: np.ndarray, h: float) -> np.ndarray:
         """Every polarity turned exactly with the cells held."""
-        return turn(self.loop, p, self.sensed(plant), h)
+        return turn(steering(self.loop).controller, p, self.sensed(plant), h)
 
     def blame(self) -> str:
         """The growth rate, or that no pole grows."""
@@ -90,7 +116,7 @@ def symbolic_cells(
     n_cells: int,
     rate: tuple[np.ndarray, np.ndarray, np.ndarray],
     read: tuple[np.ndarray, np.ndarray],
-) -> SymbolicForm:
+) -> SymbolicForm[ca.MX]:
     """CasADi form of x' = M x + D c(p) + b with one loop on each cell.
 
     Parameters
@@ -122,7 +148,7 @@ def symbolic_cells(
     return SymbolicForm(t, x, xdot, ca.MX.zeros(0, 1))
 
 
-def _dm(matrix: np.ndarray) -> Any:
+def _dm(matrix: np.ndarray) -> ca.DM:
     import casadi as ca
 
     return ca.sparsify(ca.DM(matrix))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import scipy.linalg as sla
@@ -14,7 +14,7 @@ from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, MemoryBudgetError, ParameterError
 from cellsys.kinds import Takes
 from cellsys.store.memory import size_text
-from cellsys.system import Matrix
+from cellsys.system import Matrix, is_sparse
 from cellsys.units import real_array
 
 _DENSE_BYTES = 4e9
@@ -36,14 +36,18 @@ class InteractionGraph:
         Not square, NaN, or a diagonal that is not zero.
     """
 
-    weights: Annotated[Any, Takes(Matrix)]
+    weights: Annotated[np.ndarray | sp.csr_array, Takes(Matrix)]
 
     def __post_init__(self) -> None:
-        w = self.weights
-        w = sp.csr_array(w, dtype=float) if sp.issparse(w) else real_array(w, "graph").copy()
+        given = self.weights
+        w: np.ndarray | sp.csr_array = (
+            sp.csr_array(given).astype(float)
+            if is_sparse(given)
+            else real_array(given, "graph").copy()
+        )
         if w.ndim != 2 or w.shape[0] != w.shape[1] or w.shape[0] == 0:
             raise DimensionError(f"weights must be (K, K), got {w.shape}")
-        if not np.all(np.isfinite(w.data if sp.issparse(w) else w)):
+        if not np.all(np.isfinite(w if isinstance(w, np.ndarray) else w.data)):
             raise DataError("weights hold NaN or inf")
         if np.any(w.diagonal() != 0):
             raise DataError("weights must be 0 on the diagonal: a cell is not its own neighbour")
@@ -95,7 +99,7 @@ class InteractionGraph:
         w = self.weights
         if K == 1:
             return 0.0
-        if sp.issparse(w):
+        if is_sparse(w):
             if w.count_nonzero() != K * (K - 1):
                 return None
             values = w.data[w.data != 0]
@@ -107,7 +111,10 @@ class InteractionGraph:
     def symmetric(self) -> bool:
         """Symmetric to rounding (4 eps of the greatest weight); the lower half then counts."""
         w = self.weights
-        off, size = abs(w - w.T).max(), abs(w).max()
+        if isinstance(w, np.ndarray):
+            off, size = np.abs(w - w.T).max(), np.abs(w).max()
+        else:
+            off, size = abs(w - w.T).max(), abs(w).max()
         return bool(off <= 4 * np.finfo(float).eps * size)
 
     @property
@@ -115,26 +122,28 @@ class InteractionGraph:
         """Symmetric, and small enough for its eigenvalue problem."""
         return self.symmetric and 8.0 * self.n_cells**2 <= _DENSE_BYTES
 
-    def _dense(self) -> np.ndarray:
+    def dense(self) -> np.ndarray:
+        """The weights as an array (K, K), where memory holds it."""
         _afford(self.n_cells)
-        return self.weights.toarray() if sp.issparse(self.weights) else self.weights
+        w = self.weights
+        return w if isinstance(w, np.ndarray) else w.toarray()
 
     @cached_property
     def modes(self) -> tuple[np.ndarray, np.ndarray]:
         """Eigenvalues omega (K,) and orthonormal modes Q (K, K) of symmetric weights."""
-        return sla.eigh(self._dense())
+        return sla.eigh(self.dense())
 
     @cached_property
     def omega(self) -> np.ndarray:
         """Eigenvalues (K,) of symmetric weights, without the modes."""
-        return self.modes[0] if "modes" in self.__dict__ else sla.eigvalsh(self._dense())
+        return self.modes[0] if "modes" in self.__dict__ else sla.eigvalsh(self.dense())
 
     def receive(self, values: np.ndarray) -> np.ndarray:
         """Sum over neighbours: w @ values, (K, .)."""
         return self.weights @ values
 
 
-def check_positions(positions: Any) -> np.ndarray:
+def check_positions(positions: object) -> np.ndarray:
     """Positions as finite floats (K, 2) or (K, 3), um."""
     x = np.atleast_2d(real_array(positions, "positions"))
     if x.ndim != 2 or x.shape[1] not in (2, 3):

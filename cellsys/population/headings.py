@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from cellsys.errors import ParameterError
 from cellsys.laws.polarity import exact_steps, rate
-from cellsys.loop import AntiparallelStay, closed_loop
+from cellsys.loop import AntiparallelStay, ClosedLoop, PolarityLaw, closed_loop
+from cellsys.model import LatentModel, StiffnessSensor
 
 _FEATURES = ("amplitude", "cos", "sin", "cos2", "sin2")
 
 
-def loop_of(model: Any, controller: Any, sensor: Any, normalise: bool, headings: Any = None) -> Any:
+def loop_of(
+    model: LatentModel,
+    controller: PolarityLaw | None,
+    sensor: StiffnessSensor | None,
+    normalise: bool,
+    headings: np.ndarray | None = None,
+) -> ClosedLoop | None:
     """The polarity loop of one cell, or None for a model without heading features or sensor.
 
     Raises
@@ -38,7 +43,20 @@ def loop_of(model: Any, controller: Any, sensor: Any, normalise: bool, headings:
     return None
 
 
-def commands(loop: Any, p: np.ndarray) -> np.ndarray:
+def steering(loop: ClosedLoop | None) -> ClosedLoop:
+    """The loop of cells that have one.
+
+    Raises
+    ------
+    ParameterError
+        For cells without.
+    """
+    if loop is None:
+        raise ParameterError("these cells have no polarity loop: nothing is sensed or turned")
+    return loop
+
+
+def commands(loop: ClosedLoop, p: np.ndarray) -> np.ndarray:
     """Inputs of the model (K, n_c) for polarities p (K, 3)."""
     norm = np.hypot(p[:, 0], p[:, 1])
     c, s = p[:, 0] / norm, p[:, 1] / norm
@@ -52,7 +70,7 @@ def commands(loop: Any, p: np.ndarray) -> np.ndarray:
     return np.column_stack([features[n.split(".")[-1]] for n in loop.model.input_names])
 
 
-def sensed(loop: Any, raw: np.ndarray) -> np.ndarray:
+def sensed(loop: ClosedLoop, raw: np.ndarray) -> np.ndarray:
     """d (K, 3) as the law uses it, from S_d z (K, 3) without the intercept."""
     d = loop.sensor.K_d[:, 0] + raw
     if not loop.normalise:
@@ -60,9 +78,8 @@ def sensed(loop: Any, raw: np.ndarray) -> np.ndarray:
     return d / np.sqrt(np.einsum("ki,ki->k", d, d) + 1e-300)[:, None]
 
 
-def turn(loop: Any, p: np.ndarray, d: np.ndarray, dt: float) -> np.ndarray:
+def turn(law: PolarityLaw, p: np.ndarray, d: np.ndarray, dt: float) -> np.ndarray:
     """Exact step of every polarity with d held; cells near -d leave it as the law says."""
-    law = loop.controller
     if not isinstance(law.antiparallel, AntiparallelStay):
         size = np.sqrt(np.einsum("ki,ki->k", p, p) * np.einsum("ki,ki->k", d, d))
         near = (np.einsum("ki,ki->k", p, d) <= law.antiparallel.within * size) & (size > 0)
@@ -73,6 +90,6 @@ def turn(loop: Any, p: np.ndarray, d: np.ndarray, dt: float) -> np.ndarray:
     return exact_steps(p, d, law.kappa, dt)
 
 
-def rates(loop: Any, p: np.ndarray, d: np.ndarray) -> np.ndarray:
+def rates(law: PolarityLaw, p: np.ndarray, d: np.ndarray) -> np.ndarray:
     """dp/dt (K, 3)."""
-    return np.array([rate(a, b, loop.controller.kappa) for a, b in zip(p, d, strict=True)])
+    return np.array([rate(a, b, law.kappa) for a, b in zip(p, d, strict=True)])

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from cellsys.contracts import Cells
+from cellsys.contracts import Cells, LinearModel
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.loop import PolarityLaw
+from cellsys.model import StiffnessSensor
 from cellsys.population.graph import InteractionGraph
+from cellsys.population.ported.capabilities import CellSensor
+from cellsys.population.ported.ports import CellPort
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -27,13 +30,13 @@ class CouplingRequest:
         As given; None where left out.
     """
 
-    model: Any
+    model: LinearModel | CellPort
     sizes: Mapping[str, int]
     graph: InteractionGraph | None = None
     positions: np.ndarray | None = None
     headings: np.ndarray | None = None
     controller: PolarityLaw | None = None
-    sensor: Any = None
+    sensor: CellSensor | None = None
     normalise: bool = True
 
     def count(self, own: Mapping[str, int] | None = None) -> int:
@@ -52,6 +55,21 @@ class CouplingRequest:
         if len(set(sizes.values())) > 1:
             raise DimensionError(f"numbers of cells differ: {sizes}")
         return next(iter(sizes.values()))
+
+    def own_sensor(self) -> StiffnessSensor | None:
+        """The sensor of cells that share no field.
+
+        Raises
+        ------
+        ParameterError
+            For one that reads a field.
+        """
+        if self.sensor is None or isinstance(self.sensor, StiffnessSensor):
+            return self.sensor
+        raise ParameterError(
+            f"a {type(self.sensor).__name__} reads a field that the cells share, and these share "
+            "none; give a StiffnessSensor, or an equivariant model on LoadPorts"
+        )
 
 
 class Coupling(Protocol):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -12,8 +13,9 @@ from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError
 from cellsys.population.poleset import PoleSet
+from cellsys.population.printed.printed_cells import PrintedCells
 from cellsys.response.certainty import PoleCertainty, side, widened
-from cellsys.response.integrators import set_apart
+from cellsys.response.integrators import apart_from, longest_chain, said_apart, set_apart
 from cellsys.response.realization import LARGEST, balancing
 from cellsys.response.spectrum import backward_error, spectrum
 
@@ -26,8 +28,9 @@ class CoupledStability(Drawable):
     Attributes
     ----------
     verdict : str
-        ``"stable"``, ``"unstable"``, ``"not decided"`` or, with a certificate that does not
-        depend on K, ``"stable for every K"``.
+        ``"stable"``, ``"marginal: stable apart from its integrators"``, ``"unstable"`` or
+        ``"not decided"``; the first two ``"... for every K"`` with a certificate that does not
+        depend on K.
     reason : str
     spectral_abscissa : float
         Largest real part of the poles besides integrators, 1/s: the growth rate when unstable.
@@ -66,7 +69,8 @@ class CoupledStability(Drawable):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BlockVerdict:
-    """Verdict on one matrix: abscissa and its error, numerical abscissa, integrators, chains."""
+    """One matrix without its integrators: verdict, abscissa and its error; numerical abscissa of
+    the whole; how many integrators, and how long their longest series."""
 
     verdict: str
     abscissa: float
@@ -102,9 +106,7 @@ def judge(
     names = ("",) * len(M)
     apart, rest = set_apart(balanced, scale, names, None, discrete=discrete)
     B = rest.T @ balanced @ rest if apart.count else balanced
-    chain = 0
-    if apart.count and len(B):
-        chain = set_apart(B, np.ones(len(B)), ("",) * len(B), None, discrete=discrete)[0].count
+    chain = 1 + longest_chain(B, None, discrete=discrete) if apart.count else 0
     if discrete:
         numerical = float(np.log(sla.norm(M, 2)) / dt)
     else:
@@ -113,13 +115,14 @@ def judge(
             sla.eigh(0.5 * (M + M.T), eigvals_only=True, subset_by_index=(last, last))[0]
         )
     if not len(B):
+        verdict = "stable" if chain < 2 else "unstable"
         return BlockVerdict(
-            verdict="stable",
+            verdict=verdict,
             abscissa=-np.inf,
             error=0.0,
             numerical=numerical,
             integrators=apart.count,
-            chain=0,
+            chain=chain,
         )
     found = sla.eigvals(B) if eigenvalues is None or apart.count else eigenvalues
     excess = np.abs(found) - 1.0 if discrete else found.real
@@ -129,18 +132,18 @@ def judge(
     # Cheap sufficient test first: error bounds need the eigenvectors.
     rounding = backward_error(len(M), float(sla.norm(M)))
     contracts = not discrete and numerical < -rounding
-    if certainty is None and excess.max() < 0 and chain == 0 and contracts:
+    if certainty is None and excess.max() < 0 and chain < 2 and contracts:
         return BlockVerdict(
             verdict="stable",
             abscissa=top,
             error=0.0,
             numerical=numerical,
             integrators=apart.count,
-            chain=0,
+            chain=chain,
         )
     known = widened(spectrum(B, found), certainty, dt)
     where = side(excess, known.bound)
-    if chain or np.any(where > 0):
+    if chain > 1 or np.any(where > 0):
         verdict = "unstable"
     elif np.all(where < 0):
         verdict = "stable"
@@ -165,17 +168,17 @@ def worst(verdicts: list[str]) -> str:
     return "stable"
 
 
-def stability_of(cells: Any) -> CoupledStability:
+def stability_of(cells: PrintedCells) -> CoupledStability:
     """Verdict on `CoupledCells` from its distinct blocks."""
     parts = cells.distinct(drop=False)
     known = cells.eigenvalues
     certainty, said = cells.block_certainty
-    open_ = [None] * len(parts) if certainty is None else certainty
+    open_: Sequence[PoleCertainty | None] = [None] * len(parts) if certainty is None else certainty
     found = [
         judge(M, values, data)
         for (M, _, _, _), values, data in zip(parts, known, open_, strict=True)
     ]
-    verdict = worst([f.verdict for f in found])
+    verdict, scope = worst([f.verdict for f in found]), ""
     top = max(found, key=lambda f: f.abscissa)
     integrators = sum(
         (f.integrators + zeros) * n for f, (_, n, zeros, _) in zip(found, parts, strict=True)
@@ -191,7 +194,7 @@ def stability_of(cells: Any) -> CoupledStability:
         reason = "every pole has a negative real part by more than its error bound"
         always = _always_stable(cells)
         if always is not None:
-            verdict, reason = "stable for every K", always
+            scope, reason = " for every K", always
     else:
         top = max(found, key=lambda f: f.abscissa + f.error)
         reason = f"the largest real part {top.abscissa:.3g} 1/s is known to +- {top.error:.1e} only"
@@ -200,18 +203,17 @@ def stability_of(cells: Any) -> CoupledStability:
     if cells.doubtful.size:
         doubt = cells.describe_doubt()
         other = worst([judge(M).verdict for M, _, _, _ in cells.distinct(drop=True)])
-        if verdict.startswith(other):
+        if verdict == other:
             reason += f"; the same with directions counted as purely matrix ({doubt})"
         else:
             reason = (
-                f"not determined by the data ({doubt}): {verdict} with these directions, {other} "
-                "with them counted as purely matrix"
+                f"not determined by the data ({doubt}): {verdict}{scope} with these directions, "
+                f"{other} with them counted as purely matrix"
             )
-            verdict = "not decided"
-    if integrators:
-        reason += f"; set apart: {integrators} integrators"
+            verdict, scope = "not decided", ""
+    reason += said_apart(integrators)
     return CoupledStability(
-        verdict=verdict,
+        verdict=apart_from(verdict, integrators) + scope,
         reason=reason,
         spectral_abscissa=top.abscissa,
         abscissa_error=top.error,
@@ -222,7 +224,7 @@ def stability_of(cells: Any) -> CoupledStability:
     )
 
 
-def _always_stable(cells: Any) -> str | None:
+def _always_stable(cells: PrintedCells) -> str | None:
     """A reason that does not depend on K, or None."""
     A = cells.matrices[0]
     form = cells.coupling

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TypeGuard
 
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import Reductor, Regression
-from cellsys.errors import CellsysError, DataError
+from cellsys.contracts import LinearModel, ReducedModel, Reductor, Regression
+from cellsys.errors import CellsysError, DataError, ParameterError
+from cellsys.kinds import kind_of
+from cellsys.model.poles import certainty_of
 from cellsys.reduction.basis import Basis, fit_basis, truncated
 from cellsys.response.certainty import PoleCertainty
 from cellsys.samples.snapshots import RunData, Snapshots
@@ -50,7 +53,7 @@ def pole_certainty(
     if isinstance(method, Regression):
         basis = truncated(basis, order) or fit_basis(data, order, method=method.svd)
         basis = basis.with_parts(data)
-    model = method.fit(data, order, basis=basis)
+    model = linear(method.fit(data, order, basis=basis))
     known = refits(data, method, order, basis)
     if known is None:
         raise DataError(
@@ -58,7 +61,24 @@ def pole_certainty(
             f"{len(data.runs)} runs for order {order}; add runs or lower the order"
         )
     A, left_out = known
-    return replace(model, refits=A, left_out=left_out).certainty()
+    return certainty_of(model.A, model.dt, A, left_out, discrete=False)
+
+
+def linear(model: ReducedModel) -> LinearModel:
+    """A linear model, as it is.
+
+    Raises
+    ------
+    ParameterError
+        For one without matrices: it has no poles.
+    """
+    if not _is_linear(model):
+        raise ParameterError(f"a {type(model).__name__} has no matrix A, and so no poles to follow")
+    return model
+
+
+def _is_linear(model: ReducedModel) -> TypeGuard[LinearModel]:
+    return kind_of(LinearModel).fault(model) is None
 
 
 def refits(
@@ -81,7 +101,7 @@ def refits(
                 found.append(method.refit(data, basis, kept))
         else:
             for rest in _kept_runs(data):
-                found.append(method.fit(rest, order, basis=basis).A)
+                found.append(linear(method.fit(rest, order, basis=basis)).A)
     except CellsysError:
         return None
     return np.array(found), left_out

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,12 +13,12 @@ from cellsys.arguments import checked
 from cellsys.contracts import ReducedModel, Reductor
 from cellsys.drawable import Drawable
 from cellsys.errors import CellsysError, ParameterError
-from cellsys.model.card import BASELINES, DIVERGED, compared
+from cellsys.model.card import BASELINES, DIVERGED, card_of, compared
 from cellsys.reduction.basis import Basis, check_order, fit_basis
 from cellsys.reduction.contractive import Contractive
 from cellsys.reduction.least_squares import LeastSquares
 from cellsys.reduction.pcr import PCR
-from cellsys.reduction.reduce import brings_basis, completed, described, reduce_orders
+from cellsys.reduction.reduce import brings_basis, completed, described, name_of, reduce_orders
 from cellsys.reduction.ridge import Ridge
 from cellsys.samples.provenance import repeated_runs
 from cellsys.samples.snapshots import Snapshots
@@ -160,7 +160,7 @@ def compare_reductors(
     rows, block, basis_s = [], "", 0.0
     for model, method, seconds, shared_s in measured(train, test, orders, tried):
         basis_s = max(basis_s, shared_s)
-        held = model.card.held_out
+        held = card_of(model).held_out
         if not held:
             raise ParameterError("there are no positions in these data to measure errors on")
         block = block or next(iter(held))
@@ -186,8 +186,8 @@ def refuse_shared_runs(train: Snapshots, test: Snapshots) -> None:
 
 
 def measured(
-    train: Snapshots, test: Snapshots, orders: Sequence[int], methods: Sequence[Any]
-) -> Iterator[tuple[Any, Any, float, float]]:
+    train: Snapshots, test: Snapshots, orders: Sequence[int], methods: Sequence[Reductor]
+) -> Iterator[tuple[ReducedModel, Reductor, float, float]]:
     """(model with card, its method, seconds of its fit, seconds of the shared basis).
 
     Methods that learn in the common basis share it and the latent samples; the others bring
@@ -237,15 +237,20 @@ class _Timed:
 
 
 def _row(
-    model: Any, method: Any, held: Mapping[str, float], seconds: float, test: Snapshots
+    model: ReducedModel,
+    method: Reductor,
+    held: Mapping[str, float],
+    seconds: float,
+    test: Snapshots,
 ) -> ComparedModel:
-    error, abscissa = float(held["model"]), model.card.spectral_abscissa
+    card = card_of(model)
+    error, abscissa = float(held["model"]), card.spectral_abscissa
+    growth, growth_bound = card.growth or (float("nan"), 0.0)
     fine = error < DIVERGED
     with np.errstate(over="ignore"):
         radius = float("nan") if model.dt is None else float(np.exp(model.dt * abscissa))
-    growth, growth_bound = model.card.growth
     return ComparedModel(
-        method=getattr(method, "name", type(method).__name__),
+        method=name_of(method),
         order=model.order,
         settings=described(method),
         error=error if fine else float("inf"),
@@ -254,14 +259,14 @@ def _row(
         radius=radius,
         fit_s=seconds,
         roll_out_ms=1e3 * _price(model, test) if fine else float("nan"),
-        verdict=model.card.verdict,
+        verdict=card.verdict,
         growth=growth,
         growth_bound=growth_bound,
         apart=held.get("resolution", 0.0),
     )
 
 
-def _price(model: Any, test: Snapshots) -> float:
+def _price(model: ReducedModel, test: Snapshots) -> float:
     """Seconds of one roll-out as long as the first held-out run, minimum of 3; commands zero.
 
     NaN where it cannot be rolled out that far without commands.
@@ -269,11 +274,12 @@ def _price(model: Any, test: Snapshots) -> float:
     length = test.dt * (len(test.runs[0].x) - 1)
     step = test.dt if model.dt is None else model.dt
     t = step * np.arange(round(length / step) + 1)
+    start = np.zeros(model.order) if model.z_start is None else model.z_start
     times = []
     for _ in range(3):
         began = time.perf_counter()
         try:
-            model.predict(model.z_start, None, t)
+            model.predict(start, None, t)
         except CellsysError:
             return float("nan")
         times.append(time.perf_counter() - began)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -132,20 +133,16 @@ class Contractive:
         if self.metric == "whitened" or self.loss == "one-step":
             K = one_step(now, ahead, K, 1.0 - delta if bound is None else bound)
         b = ahead.mean(axis=0) - now.mean(axis=0) @ K
-        notes: dict = {}
+        notes: dict[str, object] = {}
         if self.loss == "roll-out":
             shell = learned_model(data, basis, np.zeros((order, order)), dt=step, notes={})
             starts = [encode_start(shell, run) for run in data.runs]
             runs = RollOuts.of(data, parts, s, starts, T, _weights(data, basis), standard)
-
-            def project(K: np.ndarray) -> np.ndarray:
-                return np.concatenate([clipped(K[:order], bound), K[order:]])
-
             K, b, history = adam(
                 runs,
                 K,
                 b,
-                None if bound is None else project,
+                None if bound is None else partial(_projected, order=order, bound=bound),
                 self.iterations,
                 self.rate / np.sqrt(order),
             )
@@ -161,6 +158,11 @@ class Contractive:
             dt=step,
             notes={"method": repr(self), "metric_condition": float(np.linalg.cond(L)), **notes},
         )
+
+
+def _projected(K: np.ndarray, *, order: int, bound: float) -> np.ndarray:
+    """K with the norm of its first `order` rows, those of the state, at most `bound`."""
+    return np.concatenate([clipped(K[:order], bound), K[order:]])
 
 
 def _weights(data: Snapshots, basis: Basis) -> np.ndarray:

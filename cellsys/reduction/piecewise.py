@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -13,6 +13,7 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, IntegrationError, ParameterError
+from cellsys.kinds import FILLED, Filled
 from cellsys.model.card import Card
 from cellsys.model.hold import check_roll_out
 from cellsys.model.latent import LatentModel
@@ -26,6 +27,9 @@ from cellsys.response.roots import RootSet
 from cellsys.samples.snapshots import Snapshots
 from cellsys.system import OdeSystem
 from cellsys.units import shaped_array
+
+if TYPE_CHECKING:
+    import control
 
 _SHARP = 25.0  # beta of Rewienski & White: the nearest point weighs most
 _GAMMA = 1.0 + np.sqrt(0.5)  # ROS2: L-stable
@@ -136,7 +140,7 @@ class PiecewiseModel(Drawable):
     card: Card | None = None
     sensor: StiffnessSensor | None = None
     z_start: np.ndarray | None = None
-    notes: Mapping[str, Any] | None = None
+    notes: Filled[Mapping[str, object]] = FILLED
 
     _figure: ClassVar[str] = "latent_model"
 
@@ -208,7 +212,7 @@ class PiecewiseModel(Drawable):
         """(A_d, B_d, b_d) over a step of dt seconds of the blend at the training start."""
         return self.at(0.0).step_matrices(dt)
 
-    def plant(self) -> Any:
+    def plant(self) -> control.StateSpace:
         """The blend at the training start as `control.StateSpace`; see `LatentModel.plant`."""
         return self.at(0.0).plant()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import Any, TypeGuard
+from typing import ClassVar, Protocol, TypeGuard
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from cellsys.errors import ParameterError
 from cellsys.model.latent import LatentModel
 from cellsys.model.sensor import StiffnessSensor, fit_sensor
 from cellsys.model.trained_range import TrainedRange
-from cellsys.reduction.basis import Basis, fit_basis, truncated
+from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis, truncated
 from cellsys.reduction.certainty import refits
 from cellsys.reduction.pcr import PCR
 from cellsys.samples.snapshots import Snapshots
@@ -81,12 +81,40 @@ def brings_basis(method: Reductor) -> bool:
     return bool(getattr(method, "own_basis", False))
 
 
-def certain(model: ReducedModel, data: Snapshots, method: Regression, basis: Basis) -> ReducedModel:
+class DataModel(ReducedModel, Protocol):
+    """A reduced model that is a dataclass, so that more can be put on it."""
+
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[object]]]
+
+
+def takes(model: ReducedModel, names: Sequence[str], said: str) -> DataModel:
+    """The model, on which these can be put.
+
+    Raises
+    ------
+    ParameterError
+        For one that is no dataclass with these fields.
+    """
+    fields = {f.name for f in dataclasses.fields(model)} if _is_data(model) else ()
+    lacks = [n for n in names if n not in fields]
+    if lacks or not _is_data(model):
+        raise ParameterError(
+            f"{said}, and {', '.join(lacks)} cannot be put on it; return a cs.LatentModel, a "
+            "dataclass with these fields, or a model with its card"
+        )
+    return model
+
+
+def _is_data(model: ReducedModel) -> TypeGuard[DataModel]:
+    return dataclasses.is_dataclass(model)
+
+
+def certain(model: ReducedModel, data: Snapshots, method: Regression, basis: Basis) -> DataModel:
     """The model with what it becomes without each part of the data, where that can be known."""
+    said = f"{described(method)}.fit returned a {type(model).__name__} that may be refitted"
+    put = takes(model, ("refits", "left_out"), said)
     found = refits(data, method, model.order, basis)
-    if found is None:
-        return model
-    return dataclasses.replace(model, refits=found[0], left_out=found[1])
+    return put if found is None else dataclasses.replace(put, refits=found[0], left_out=found[1])
 
 
 @checked
@@ -112,8 +140,10 @@ def reduce_orders(
             if model.card is not None or not in_basis(model, basis):
                 yield completed(model, method, data, test)
                 continue
-            if refits_cheaply(method):
-                model = certain(model, data, method, truncated(basis, order))
+            learned: DataModel = model
+            within = truncated(basis, order)
+            if within is not None and refits_cheaply(method):
+                learned = certain(model, data, method, within)
             if encoded is None:
                 large = LatentModel(
                     A=np.zeros((basis.V.shape[1],) * 2),
@@ -124,18 +154,18 @@ def reduce_orders(
                 )
                 encoded = encode_all(large, data, test)
             # The sensor reads the basis, not the dynamics: one an order serves all methods.
-            done = complete(model, data, test, encoded, sensors.get(order))
+            done = complete(learned, data, test, encoded, sensors.get(order))
             sensors[order] = done.sensor
             yield done
 
 
-def in_basis(model: ReducedModel, basis: Basis) -> bool:
+def in_basis(model: ReducedModel, basis: Basis) -> TypeGuard[LatentModel]:
     """Whether the coordinates of a model are the first of a basis."""
-    if not isinstance(model, LatentModel) or model.V is None:
+    if not isinstance(model, LatentModel):
         return False
-    own, common = (model.V, model.mean, model.scale), (basis.V, basis.mean, basis.scale)
-    common = (common[0][:, : model.order], *common[1:])
-    return all(np.array_equal(a, b) for a, b in zip(own, common, strict=True))
+    common = (basis.V[:, : model.order], basis.mean, basis.scale)
+    own = (model.V, model.mean, model.scale)
+    return all(a is not None and np.array_equal(a, b) for a, b in zip(own, common, strict=True))
 
 
 def completed(
@@ -151,20 +181,18 @@ def completed(
     needs(model, ReducedModel, f"what {described(method)}.fit returned")
     if model.card is not None:
         return model
-    fields = {f.name for f in dataclasses.fields(model)} if dataclasses.is_dataclass(model) else ()
-    lacks = [n for n in ("z_start", "sensor", "notes", "card") if n not in fields]
-    if lacks:
-        raise ParameterError(
-            f"{described(method)}.fit returned a {type(model).__name__} without a card, and "
-            f"{', '.join(lacks)} cannot be put on it; return a cs.LatentModel, a dataclass with "
-            "these fields, or a model with its card"
-        )
-    return complete(model, data, test)
+    said = f"{described(method)}.fit returned a {type(model).__name__} without a card"
+    return complete(takes(model, ("z_start", "sensor", "notes", "card"), said), data, test)
+
+
+def name_of(method: Reductor) -> str:
+    """What tables call a reductor."""
+    return getattr(method, "name", type(method).__name__)
 
 
 def described(method: Reductor) -> str:
     """A reductor in words: its name and the settings that are not the default ones."""
-    name = getattr(method, "name", type(method).__name__)
+    name = name_of(method)
     if not dataclasses.is_dataclass(method):
         return name
     fields = dataclasses.fields(method)
@@ -175,7 +203,7 @@ def described(method: Reductor) -> str:
 
 
 def complete(
-    model: ReducedModel,
+    model: DataModel,
     data: Snapshots,
     test: Snapshots | None = None,
     encoded: tuple[Encoded, Encoded | None] | None = None,
@@ -216,11 +244,14 @@ def sensor_of(
             [np.asarray(run.d)[ks, 0] for run, ks in zip(of.runs, kept, strict=True)],
         )
 
-    held = samples(test, encoded[1].runs) if test is not None else (None, None)
+    aside = encoded[1]
+    held = (None, None) if test is None or aside is None else samples(test, aside.runs)
     return fit_sensor(*samples(data, encoded[0].runs), *held)
 
 
-def _order_for(data: Snapshots, tol: float, svd: Any) -> tuple[int, Basis]:
+def _order_for(
+    data: Snapshots, tol: float, svd: ExactSVD | RandomisedSVD | None
+) -> tuple[int, Basis]:
     if not 0 < tol < 1:
         raise ParameterError(f"tol must be between 0 and 1, got {tol!r}")
     most = min(data.n_samples - 1, data.n_columns)

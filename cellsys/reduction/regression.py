@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
@@ -24,7 +24,7 @@ def learned_model(
     offset: Filled[np.ndarray] = FILLED,
     input_names: tuple[str, ...] = (),
     dt: float | None = None,
-    notes: Mapping[str, Any],
+    notes: Mapping[str, object],
 ) -> LatentModel:
     """`LatentModel` in `basis` with the names of `data`; what the basis left out is noted.
 

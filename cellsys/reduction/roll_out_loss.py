@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellsys.errors import DataError
 from cellsys.reduction.basis import LatentParts
 from cellsys.reduction.regression import StepSamples, samples_per_step
 from cellsys.samples.snapshots import Snapshots
@@ -61,6 +62,8 @@ class RollOuts:
             weight[: len(grid), i] = there
             if data.command_names:
                 commands = data.commands_of(run, samples.names)
+                if commands is None:
+                    raise DataError(f"{run.label or f'run {i}'}: no commands were recorded")
                 inputs[:count, i] = standard(_means(commands, every, count))
             elif known is not None and run.u is not None:
                 rates = _means(np.asarray(run.u), every, count) @ samples.B[:, :n].T

@@ -11,25 +11,24 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import Reductor
+from cellsys.contracts import ReducedModel, Reductor
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, ParameterError
 from cellsys.kinds import Seed
 from cellsys.model.card import card_of
-from cellsys.model.latent import LatentModel
 from cellsys.reduction.basis import check_order
 from cellsys.reduction.comparison import measured, refuse_shared_runs
-from cellsys.reduction.reduce import described, reduce
+from cellsys.reduction.reduce import described, name_of, reduce
 from cellsys.samples.snapshots import Snapshots
 
 
 @checked
-def candidates(method: Reductor, settings: Mapping[str, Sequence[Any]]) -> list[Any]:
+def candidates(method: Reductor, settings: Mapping[str, Sequence[object]]) -> list[Reductor]:
     """The method with every combination of the settings.
 
     ``candidates(Ridge(), {"ridge": [1e-3, 1]})`` gives two methods.
@@ -39,11 +38,13 @@ def candidates(method: Reductor, settings: Mapping[str, Sequence[Any]]) -> list[
     ParameterError
         A setting the method does not have.
     """
+    if not dataclasses.is_dataclass(method) or isinstance(method, type):
+        raise ParameterError(f"method must be a dataclass to have settings, got {method!r}")
     known = {f.name for f in dataclasses.fields(method)}
     for name in settings:
         if name not in known:
             raise ParameterError(
-                f"{method.name} has no {name!r}; it has {', '.join(sorted(known))}"
+                f"{name_of(method)} has no {name!r}; it has {', '.join(sorted(known))}"
             )
     return [
         dataclasses.replace(method, **dict(zip(settings, values, strict=True)))
@@ -80,7 +81,7 @@ class Selection(Drawable):
 
     Attributes
     ----------
-    model : LatentModel
+    model : ReducedModel
         The chosen method and order, learned from all runs.
     method, settings, order
         The choice: reductor, the same in words, order.
@@ -92,7 +93,7 @@ class Selection(Drawable):
         Candidates, best first, and outer folds.
     """
 
-    model: LatentModel
+    model: ReducedModel
     method: Reductor
     settings: str
     order: int
@@ -202,7 +203,7 @@ def select_model(
     ranked = sorted(range(len(pairs)), key=lambda k: _mean(table[:, k]))
     rows = [
         Candidate(
-            method=pairs[k][0].name,
+            method=name_of(pairs[k][0]),
             order=pairs[k][1],
             settings=described(pairs[k][0]),
             error=_mean(table[:, k]),
@@ -234,17 +235,17 @@ def _of(data: Snapshots, runs: Sequence[int]) -> Snapshots:
     return dataclasses.replace(data, runs=tuple(data.runs[i] for i in sorted(runs)))
 
 
-def _pairs(methods: Sequence[Any], orders: Sequence[int]) -> list[tuple[Any, int]]:
+def _pairs(methods: Sequence[Reductor], orders: Sequence[int]) -> list[tuple[Reductor, int]]:
     return [(m, order) for m in methods for order in orders]
 
 
 def _errors(
-    train: Snapshots, test: Snapshots, methods: Sequence[Any], orders: Sequence[int]
+    train: Snapshots, test: Snapshots, methods: Sequence[Reductor], orders: Sequence[int]
 ) -> list[float]:
     """Held-out error on the first block of every (method, order), inf where it diverges."""
-    found = {}
+    found: dict[int, list[float]] = {}
     for model, method, _, _ in measured(train, test, orders, methods):
-        held = model.card.held_out
+        held = card_of(model).held_out
         if not held:
             raise ParameterError("there are no positions in these data to measure errors on")
         error = float(next(iter(held.values()))["model"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from cellsys.response.decompositions.resolvent import Resolvent, s_plane
 from cellsys.response.phase import anchored, continuous_phase
 from cellsys.response.realization import LARGEST, Realization, realization
 from cellsys.units import real_array
+
+if TYPE_CHECKING:
+    import control
 
 
 @checked
@@ -75,7 +78,7 @@ class FrequencyResponse(Drawable):
             return np.zeros((0, len(G)))
         return np.linalg.svd(G, compute_uv=False).T
 
-    def to_frd(self) -> Any:
+    def to_frd(self) -> control.FrequencyResponseData:
         """As ``control.FrequencyResponseData``, names kept."""
         import control
 
@@ -102,7 +105,7 @@ class FrequencyResponse(Drawable):
         return text
 
 
-def check_omega(omega: Any, system: Realization) -> np.ndarray:
+def check_omega(omega: object, system: Realization) -> np.ndarray:
     """Frequencies as a finite 1-D array within the Nyquist band, or a clear error."""
     array = np.atleast_1d(real_array(omega, "omega"))
     if array.ndim != 1:

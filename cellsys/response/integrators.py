@@ -19,6 +19,16 @@ def counted(number: int) -> str:
     return f"{number} integrator" + ("" if number == 1 else "s")
 
 
+def apart_from(verdict: str, integrators: int) -> str:
+    """A verdict on what is left without the integrators, as one on the whole."""
+    return MARGINAL if integrators and verdict == "stable" else verdict
+
+
+def said_apart(integrators: int) -> str:
+    """The end of a reason: how many were set apart; nothing of none."""
+    return f"; set apart: {counted(integrators)}" if integrators else ""
+
+
 @checked
 @dataclass(frozen=True, eq=False)
 class Integrators(Shown):

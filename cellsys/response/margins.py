@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -78,7 +78,7 @@ class Margins(Drawable):
     closed_loop_stable: bool
     loci: Loci
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> dict[str, float]:
         """The figures of merit by name, deg and s."""
         return {
             "gain_margin": self.gain_margin,

@@ -52,6 +52,8 @@ class SystemNorm(Drawable):
     @property
     def response(self) -> FrequencyResponse:
         """Frequency response of the system on the automatic grid."""
+        if self.system is None:
+            raise ParameterError("this norm came without its system; h2_norm and hinf_norm keep it")
         return frequency_response(self.system)
 
     def __float__(self) -> float:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.linalg as sla
 
@@ -12,7 +10,7 @@ from cellsys.contracts import LinearSystem
 from cellsys.response.certainty import PoleCertainty, data_note, widened
 from cellsys.response.realization import balancing, realization
 from cellsys.response.roots import RootSet, order
-from cellsys.response.spectrum import spectrum
+from cellsys.response.spectrum import Spectrum, spectrum
 
 
 @checked
@@ -50,7 +48,7 @@ def poles(sys: LinearSystem, *, certainty: PoleCertainty | None = None) -> RootS
     values = sla.eigvals(A) if A.size else np.zeros(0, complex)
     values = values[order(values)]
 
-    def detail(values: np.ndarray) -> Any:
+    def detail(values: np.ndarray) -> Spectrum:
         return widened(spectrum(A, values), certainty, system.dt)
 
     note = "" if certainty is None else data_note(certainty)

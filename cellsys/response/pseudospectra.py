@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -113,7 +113,7 @@ def _sigma(T: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return smallest_singular(T, z.ravel()).reshape(z.shape)
 
 
-def _axis(value: Any, name: str) -> np.ndarray:
+def _axis(value: np.ndarray, name: str) -> np.ndarray:
     array = np.asarray(value, dtype=float)
     if array.ndim != 1 or not len(array) or not np.all(np.isfinite(array)):
         raise ParameterError(f"{name} must be a finite one-dimensional array, not empty")

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Annotated, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,6 +25,9 @@ from cellsys.state_space import state_space
 from cellsys.store.memory import size_text
 from cellsys.system import Matrix, is_sparse
 from cellsys.units import real_array, real_number
+
+if TYPE_CHECKING:
+    import control
 
 DENSE_LIMIT = 4000  # states; a dense complex matrix of this size takes 256 MB
 LARGEST = 1e150  # of an entry of A, B, C, D
@@ -40,7 +43,7 @@ def _names(given: Sequence[str] | None, count: int, letter: str, what: str) -> t
     return names
 
 
-def _dense(value: Any, name: str) -> np.ndarray:
+def _dense(value: object, name: str) -> np.ndarray:
     array = real_array(value.toarray() if is_sparse(value) else value, name)
     array = np.atleast_2d(array.copy())
     if array.ndim != 2:
@@ -86,7 +89,7 @@ class Realization:
         dt is negative or not finite.
     """
 
-    A: Annotated[Any, Takes(Matrix)]
+    A: Annotated[Any, Takes(Matrix)]  # dense or sparse: no type has what both have
     B: Filled[np.ndarray] = FILLED
     C: Filled[np.ndarray] = FILLED
     D: Filled[np.ndarray] = FILLED
@@ -146,7 +149,7 @@ class Realization:
         put(self, "outputs", _names(self.outputs, C.shape[0], "y", "output"))
 
     @staticmethod
-    def _edge(value: Any, name: str, axis: int, n: int, D: np.ndarray | None) -> np.ndarray:
+    def _edge(value: np.ndarray, name: str, axis: int, n: int, D: np.ndarray | None) -> np.ndarray:
         array = _dense(value, name)
         if array.size == 0:
             known = 0 if D is None else D.shape[1 - axis]
@@ -201,7 +204,7 @@ class Realization:
             )
         return replace(self, A=self.A.toarray())
 
-    def state_space(self) -> Any:
+    def state_space(self) -> control.StateSpace:
         """As ``control.StateSpace`` with the same names and dt."""
         full = self.dense()
         return state_space(
@@ -226,7 +229,7 @@ class _Channels(Protocol):
     output_labels: list[str]
 
 
-def _sampling(dt: Any) -> float:
+def _sampling(dt: float | None) -> float:
     if dt is None:
         return 0.0  # control's "unspecified"; continuous is its own default
     return 1.0 if dt is True else dt

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import wraps
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -52,36 +52,25 @@ class RootSet(Drawable, np.ndarray):
         new.setflags(write=False)
         return new
 
-    def __array_finalize__(self, source: Any) -> None:
+    def __array_finalize__(self, source: object) -> None:
         """Views carry no details: they may hold other entries."""
         self._detail, self.kind, self.dt, self.note = None, "root", 0.0, ""
 
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+    def __array_ufunc__(
+        self, ufunc: np.ufunc, method: str, *inputs: object, **options: object
+    ) -> object:
         """Arithmetic is that of plain arrays, and gives plain arrays."""
-        return getattr(ufunc, method)(*_plain(inputs), **_plain(options))
+        return getattr(ufunc, method)(*_plain_all(inputs), **_plain_named(options))
 
-    def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
+    def __array_function__(
+        self,
+        func: Callable[..., object],
+        types: Iterable[type],
+        args: Iterable[object],
+        kwargs: Mapping[str, object],
+    ) -> object:
         """Functions of numpy take and give plain arrays."""
-        return func(*_plain(args), **_plain(kwargs))
-
-    def __getitem__(self, key: Any) -> Any:
-        """Plain array or scalar."""
-        return np.asarray(self)[key]
-
-    @property
-    def T(self) -> np.ndarray:
-        """Plain array, as it is."""
-        return np.asarray(self)
-
-    @property
-    def real(self) -> np.ndarray:
-        """Real parts, a plain array (k,)."""
-        return np.asarray(self).real
-
-    @property
-    def imag(self) -> np.ndarray:
-        """Imaginary parts, a plain array (k,)."""
-        return np.asarray(self).imag
+        return func(*_plain_all(args), **_plain_named(kwargs))
 
     @property
     def spectrum(self) -> Spectrum:
@@ -112,10 +101,10 @@ class RootSet(Drawable, np.ndarray):
         """Number of roots in the cluster of each."""
         return self.spectrum.cluster_size
 
-    def __deepcopy__(self, memo: dict) -> RootSet:
+    def __deepcopy__(self, memo: dict[int, object] | None) -> RootSet:
         return self  # read-only
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[Callable[..., RootSet], tuple[object, ...]]:
         """Pickles keep the details."""
         return _rebuild, (np.array(self), self.kind, self.dt, self.spectrum, self.note)
 
@@ -143,38 +132,60 @@ class RootSet(Drawable, np.ndarray):
         return names, [[v.item() for v in row] for row in zip(*columns, strict=True)]
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """The same with every `RootSet` in it as a plain, read-only array."""
     if isinstance(value, RootSet):
         return value.view(np.ndarray)
     if isinstance(value, (tuple, list)) and any(_holds(part) for part in value):
         return type(value)(_plain(part) for part in value)
     if isinstance(value, dict):
-        return {key: _plain(part) for key, part in value.items()}
+        return _plain_named(value)
     return value
 
 
-def _holds(value: Any) -> bool:
+def _plain_all(values: Iterable[object]) -> list[object]:
+    return [_plain(value) for value in values]
+
+
+def _plain_named(values: Mapping[str, object]) -> dict[str, object]:
+    return {name: _plain(value) for name, value in values.items()}
+
+
+def _holds(value: object) -> bool:
     return isinstance(value, (RootSet, tuple, list, dict))
 
 
-def _of_plain_arrays(name: str) -> Callable[..., Any]:
+def _of_plain_arrays(name: str) -> Callable[..., object]:
     plain = getattr(np.ndarray, name)
 
     @wraps(plain)
-    def method(self: RootSet, *args: Any, **options: Any) -> Any:
-        return plain(np.asarray(self), *_plain(args), **_plain(options))
+    def method(self: RootSet, *args: object, **options: object) -> object:
+        return plain(np.asarray(self), *_plain_all(args), **_plain_named(options))
 
     return method
 
 
-# p.round(3), p.copy(), p.reshape(...): what plain arrays give.
+def _plain_part(name: str, doc: str) -> property:
+    def part(self: RootSet) -> np.ndarray:
+        return getattr(np.asarray(self), name)
+
+    return property(part, doc=doc)
+
+
+# p[0], p.round(3), p.copy(), p.reshape(...): what plain arrays give.
 for _name in (
-    "argpartition argsort astype byteswap choose clip compress conj conjugate copy cumprod cumsum "
-    "diagonal dot flatten getfield mean prod ravel repeat reshape round searchsorted squeeze std "
-    "sum swapaxes take trace transpose var"
+    "__getitem__ argpartition argsort astype byteswap choose clip compress conj conjugate copy "
+    "cumprod cumsum diagonal dot flatten getfield mean prod ravel repeat reshape round "
+    "searchsorted squeeze std sum swapaxes take trace transpose var"
 ).split():
     setattr(RootSet, _name, _of_plain_arrays(_name))
+# Read only, where numpy's own may be set.
+for _name, _doc in {
+    "T": "Plain array, as it is.",
+    "real": "Real parts, a plain array (k,).",
+    "imag": "Imaginary parts, a plain array (k,).",
+}.items():
+    setattr(RootSet, _name, _plain_part(_name, _doc))
 
 
 def _rebuild(values: np.ndarray, kind: str, dt: float, detail: Spectrum, note: str) -> RootSet:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import scipy.linalg as sla
@@ -13,6 +13,9 @@ from cellsys.contracts import LinearSystem
 from cellsys.errors import ParameterError
 from cellsys.response.realization import EPS, Realization, balancing, realization
 from cellsys.units import real_number
+
+if TYPE_CHECKING:
+    import control
 
 
 @checked
@@ -149,7 +152,7 @@ Sampling = Annotated[ZeroOrderHold | Tustin, "cellsys.ZeroOrderHold() or cellsys
 
 
 @checked
-def c2d(sys: LinearSystem, dt: float, method: Sampling = ZeroOrderHold()) -> Any:
+def c2d(sys: LinearSystem, dt: float, method: Sampling = ZeroOrderHold()) -> control.StateSpace:
     """Sample a continuous system; state, input and output names stay.
 
     Parameters
@@ -185,7 +188,7 @@ def c2d(sys: LinearSystem, dt: float, method: Sampling = ZeroOrderHold()) -> Any
 
 
 @checked
-def d2c(sys: LinearSystem, method: Sampling = ZeroOrderHold()) -> Any:
+def d2c(sys: LinearSystem, method: Sampling = ZeroOrderHold()) -> control.StateSpace:
     """The continuous system behind a sampled one; names stay.
 
     Parameters

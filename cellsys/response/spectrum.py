@@ -121,7 +121,8 @@ def spectrum(A: np.ndarray, values: np.ndarray | None = None) -> Spectrum:
     condition = condition[nearest]
     if radii.max() > 1e-3 * norm:
         noise = np.random.default_rng(0).standard_normal((n, n))
-        near, left, right = sla.eig(A + noise * (delta / sla.norm(noise)), left=True, right=True)
+        moved: np.ndarray = A + noise * (delta / sla.norm(noise))
+        near, left, right = sla.eig(moved, left=True, right=True)
         radii = n * _condition(left, right) * 3 * delta
         second, other = _within(values, near, radii, _groups(near, radii))
         if second.max() < bound.max() or not np.isfinite(bound.max()):

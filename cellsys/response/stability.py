@@ -17,10 +17,10 @@ from cellsys.response.certainty import PoleCertainty, data_note, side, widened
 from cellsys.response.decompositions.growth import kreiss_lower, sampled_growth
 from cellsys.response.decompositions.singular import distance_to_boundary, schur_matrix
 from cellsys.response.integrators import (
-    MARGINAL,
     Integrators,
-    counted,
+    apart_from,
     longest_chain,
+    said_apart,
     set_apart,
 )
 from cellsys.response.lyapunov import LyapunovCertificate, certificate
@@ -241,9 +241,8 @@ def stability(
     T = schur_matrix(B)
     low, high, point = distance_to_boundary(B, found.values, discrete=discrete, T=T)
     verdict, reason = _verdict(alone, found, low, delta, discrete=discrete, chain=chain)
-    if apart.count:
-        verdict = MARGINAL if verdict == "stable" else verdict
-        reason += f"; set apart: {counted(apart.count)}" if chain == 1 else ""
+    verdict = apart_from(verdict, apart.count)
+    reason += said_apart(apart.count) if chain == 1 else ""
     excess = _excess(found, discrete=discrete)
     i = int(np.argmax(excess + found.bound)) if len(excess) else -1
     top = float(excess.max(initial=-np.inf))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -52,7 +52,7 @@ class TimeResponse(Drawable):
         return f"{self.kind} response, {len(self.outputs)} outputs, {len(self.t)} times{end}"
 
 
-def _times(system: Realization, t: Any) -> np.ndarray:
+def _times(system: Realization, t: np.ndarray | None) -> np.ndarray:
     if t is None:
         return automatic_times(system)
     array = real_array(t, "t")

@@ -21,7 +21,8 @@ from cellsys.population import (
     Superposition,
     couple,
 )
-from cellsys.response import poles, spectrum
+from cellsys.response import poles, spectrum, stability
+from cellsys.response.integrators import MARGINAL
 from tests.naive import dense_coupled_poles, kronecker_coupling
 from tests.population.systems import match, model
 
@@ -250,6 +251,21 @@ def test_stability_says_when_the_data_do_not_decide():
     report = couple(m, 3).stability()
     assert report.verdict == "not decided"
     assert "not determined by the data" in report.reason
+
+
+def test_integrators_are_said_as_of_one_system():
+    """As `stability` says it of the assembled whole. Naive: the verdict on what is left, alone."""
+    still = np.diag([-0.1, -0.2, 0.0])
+    for form, scope in ((Feedback(), ""), (Superposition(), " for every K")):
+        cells = couple(model(m=3, A=still), 3, form)
+        report = cells.stability()
+        assert report.verdict == stability(cells.matrix()).verdict + scope == MARGINAL + scope
+        assert report.integrators == 3
+        assert report.reason.endswith("; set apart: 3 integrators")
+    chain = np.diag([-0.1, 0.0, 0.0]) + np.eye(3, k=1) * [[0.0], [1.0], [0.0]]
+    for form in (Feedback(), Superposition()):
+        cells = couple(model(m=3, A=chain), 3, form)
+        assert cells.stability().verdict == stability(cells.matrix()).verdict == "unstable"
 
 
 # Routes

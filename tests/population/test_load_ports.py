@@ -385,15 +385,9 @@ def test_the_estimate_covers_the_error_of_steps():
     held = sum(np.linalg.matrix_power(root, i) for i in range(parts))
     flow.M, flow.drive = root, np.linalg.solve(held, flow.drive)
     loop = ported_loop(cells)
-
-    class Fine(PortedSteps):
-        dt = 2.0 / parts
-
-    fine = simulate(
-        Fine(cells=cells, flow=flow, loop=loop, x0=initial(cells, loop, np.ones(3), None, None)),
-        None,
-        t,
-    )
+    start = initial(cells, loop, np.ones(3), None, None)
+    steps = PortedSteps(cells=cells, flow=flow, loop=loop, x0=start, dt=2.0 / parts)
+    fine = simulate(steps, None, t)
     error = np.abs(run.x - fine.x).max(axis=0)
     for block in run.states:
         part = run.states.slice(block.name)

@@ -99,7 +99,7 @@ class FibreBending(Effect):
     )  # fmt: skip
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_BendingElement(self, site.disc),)
+        return (BendingElement(self, site.disc),)
 
 
 def straight_pairs(disc: Disc, most: float) -> np.ndarray:
@@ -117,7 +117,9 @@ def straight_pairs(disc: Disc, most: float) -> np.ndarray:
     return np.concatenate(found).astype(np.int64)
 
 
-class _BendingElement(Element):
+class BendingElement(Element):
+    """Bending of every pair of fibres that met at a node at rest."""
+
     def __init__(self, effect: FibreBending, disc: Disc) -> None:
         self.disc = disc
         self.name = f"{MATRIX}.{effect.name}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -85,7 +86,7 @@ class MatrixCreep(Effect):
         return (kind(self, fibres),)
 
 
-class _CreepElement(Element):
+class _CreepElement(Element, ABC):
     def __init__(self, effect: MatrixCreep, fibres: FibreElement) -> None:
         self.effect, self.disc, self.law = effect, fibres.disc, fibres.law
         self.name = f"{MATRIX}.{effect.name}"
@@ -106,9 +107,9 @@ class _CreepElement(Element):
             s.cache[self.name] = now
         return s.cache[self.name]
 
+    @abstractmethod
     def tension(self, s: Configuration) -> np.ndarray:
         """Tension that the branch adds to every fibre, pN."""
-        raise NotImplementedError
 
     def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
         d = self.disc
@@ -117,9 +118,9 @@ class _CreepElement(Element):
     def forget(self) -> None:
         self._bounds = None
 
+    @abstractmethod
     def along(self, s: Configuration) -> np.ndarray:
         """Tangent along the fibres that the branch adds at most, pN/um."""
-        raise NotImplementedError
 
     def stiffness(self, s: Configuration) -> tuple[Stiffness, ...]:
         along = self.along(s)

@@ -32,7 +32,7 @@ E = TypeVar("E", bound="Effect")
 
 
 def parameter(
-    default: Any,
+    default: str | float,
     unit: str = "1",
     *,
     above: float | None = None,
@@ -223,7 +223,7 @@ class Stiffness(NamedTuple):
     array: str
     axes: tuple[int, ...]
     matrix: Callable[[], sp.csc_array]
-    key: Any
+    key: object
 
 
 class Configuration:
@@ -283,7 +283,7 @@ class Element:
         """Discrete changes of the internal states of `s`, in place."""
         return ()
 
-    def observe(self, s: Configuration) -> dict[str, Any]:
+    def observe(self, s: Configuration) -> dict[str, np.ndarray]:
         """Read-outs of one cell stored with each sample: ``p``, ``d`` (3,), ``amplitude``."""
         return {}
 

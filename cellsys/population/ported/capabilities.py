@@ -1,26 +1,34 @@
-"""What fields, sensors and cells on a field may have besides what their contracts ask for."""
+"""What fields and sensors may have besides what their contracts ask for."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
+import scipy.sparse as sp
 
-from cellsys.contracts import MatrixField
+from cellsys.contracts import MatrixField, SteppedField
+from cellsys.field.elasticity import MatrixEnergy
+from cellsys.kinds import kind_of
+from cellsys.model.network_sensor import StiffnessMap
 
 
 @runtime_checkable
 class ModalField(Protocol):
     """A matrix field with modes as coordinates, such as cs.GalerkinField(system)."""
 
-    modes: Any
+    @property
+    def modes(self) -> np.ndarray | sp.csc_array:
+        """U (3 n, order)."""
 
 
 @runtime_checkable
 class FibreField(Protocol):
     """A matrix field with fibres, such as cs.GalerkinField(system)."""
 
-    matrix: Any
+    @property
+    def matrix(self) -> MatrixEnergy:
+        """The fibres, and what they store."""
 
 
 @runtime_checkable
@@ -34,33 +42,39 @@ class FieldReader(Protocol):
 
 
 @runtime_checkable
-class NetworkReader(Protocol):
+class StateReader(Protocol):
+    """A sensor that reads a cell's own latent state, such as a StiffnessSensor."""
+
+    def raw(self, z: np.ndarray) -> np.ndarray:
+        """Sensed vectors (..., 3) of latent states (..., m)."""
+
+    def direction(self, z: np.ndarray) -> np.ndarray:
+        """The same, of unit length."""
+
+
+@runtime_checkable
+class NetworkReader(StateReader, Protocol):
     """A sensor that reads the stiffness of a network at rest, such as a LocalSensor."""
 
-    K_s: np.ndarray
-    a: float
-    map: Any
+    @property
+    def K_s(self) -> np.ndarray:
+        """Gains on its moments."""
+
+    @property
+    def a(self) -> float:
+        """Gain on its stiffness under the cell."""
+
+    @property
+    def map(self) -> StiffnessMap:
+        """The network."""
 
     def on(self, nodes: np.ndarray, stiffness: np.ndarray) -> NetworkReader:
         """The same sensor on another network."""
 
 
-@runtime_checkable
-class ChargedModel(Protocol):
-    """A cell made of charges with a polar port, such as an EquivariantModel."""
-
-    dynamics: Any
-    representation: Any
+CellSensor = StateReader | FieldReader
 
 
-@runtime_checkable
-class PortedCell(Protocol):
-    """A linear cell with a load port, such as cs.CellPort(A, F)."""
-
-    A: np.ndarray
-    F: np.ndarray
-    C: np.ndarray
-    n_loads: int
-
-    def passivity(self) -> Any:
-        """Passivity of the port."""
+def steps_itself(field: MatrixField) -> TypeGuard[SteppedField]:
+    """Whether a field is a `SteppedField`; asked by name, so that nothing is computed."""
+    return kind_of(SteppedField).fault(field) is None

@@ -8,11 +8,11 @@ midpoint. What is certified (shapes, loads, field) does not depend on the comman
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from cellsys.cell.model import EquivariantModel
+from cellsys.cell.charged import ChargedModel
 from cellsys.cell.on_field import CellsOnField
 from cellsys.contracts import Integrator
 from cellsys.drawable import Drawable
@@ -24,6 +24,7 @@ from cellsys.loop import PolarityLaw
 from cellsys.loop.loop_system import model_error
 from cellsys.mechanics.geometry.surface import convex_triangles
 from cellsys.population.poleset import PoleSet
+from cellsys.population.ported.capabilities import CellSensor, steps_itself
 from cellsys.population.ported.equivariant_system import EquivariantSystem
 from cellsys.population.ported.linear_cells import PortedCells
 from cellsys.population.ported.placement import Placement
@@ -31,6 +32,9 @@ from cellsys.population.ported.polar import frozen_port, polar_gather
 from cellsys.population.verdict import CoupledStability
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    import control
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,10 +55,10 @@ class EquivariantCells(Drawable):
         Scale the sensed direction to unit length.
     """
 
-    model: EquivariantModel
+    model: ChargedModel
     coupling: Placement
     controller: PolarityLaw | None = None
-    sensor: Any = None
+    sensor: CellSensor | None = None
     normalise: bool = True
 
     _figure: ClassVar[str] = "coupled_cells"
@@ -103,7 +107,7 @@ class EquivariantCells(Drawable):
         """Every pole, frozen at t, 1/s."""
         return self.frozen(t).poles()
 
-    def plant(self, t: float | None = None) -> Any:
+    def plant(self, t: float | None = None) -> control.StateSpace:
         """The frozen system as `control.StateSpace` with the model's step; no commands."""
         return self.frozen(t).plant()
 
@@ -164,6 +168,12 @@ class EquivariantCells(Drawable):
         """
         instead = "cells.frozen(t) has linear cells frozen at a time"
         refuse_integrator(self, integrator, instead)
+        field = self.coupling.field
+        if not steps_itself(field):
+            raise ParameterError(
+                f"a run needs a field that steps itself, and a {type(field).__name__} does not; "
+                "use a GalerkinField or a full field"
+            )
         times, K = check_times(t), self.n_cells
         steps = int(marks_of(times, self.dt, "the model")[-1])
         u = self._command(amplitude, "amplitude", steps, 1.0)
@@ -176,7 +186,7 @@ class EquivariantCells(Drawable):
         if not np.all(np.isfinite(p)) or np.any(np.hypot(p[:, 0], p[:, 1]) == 0):
             raise ParameterError("p0 must be finite and have a heading for every cell")
         system = EquivariantSystem(
-            whole=CellsOnField(model=self.model, field=self.coupling.field, tolerance=tolerance),
+            whole=CellsOnField(model=self.model, field=field, tolerance=tolerance),
             places=self.coupling.positions[:, :2],
             controller=self.controller if heading is None else None,
             sensor=self.sensor,
@@ -194,9 +204,10 @@ class EquivariantCells(Drawable):
             model_error=model_error(self.model),
         )
 
-    def _command(self, value: Any, name: str, steps: int, default: float) -> np.ndarray:
-        value = default if value is None else value
-        array = np.asarray(value, dtype=float)
+    def _command(
+        self, value: np.ndarray | None, name: str, steps: int, default: float
+    ) -> np.ndarray:
+        array = np.asarray(default if value is None else value, dtype=float)
         if array.shape not in ((), (self.n_cells,), (steps, self.n_cells)):
             raise DimensionError(f"{name} must be ({steps}, {self.n_cells}), got {array.shape}")
         if not np.all(np.isfinite(array)):

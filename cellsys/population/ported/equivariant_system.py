@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +19,7 @@ from cellsys.integrate.step_runs import StepRun
 from cellsys.loop import PolarityLaw
 from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.population.headings import turn
-from cellsys.population.ported.capabilities import FieldReader
+from cellsys.population.ported.capabilities import CellSensor, FieldReader
 from cellsys.system import Block, Event, Layout
 
 
@@ -50,7 +48,7 @@ class EquivariantSystem:
     whole: CellsOnField
     places: np.ndarray
     controller: PolarityLaw | None
-    sensor: Any
+    sensor: CellSensor | None
     normalise: bool
     start: np.ndarray | None
     p0: np.ndarray
@@ -110,11 +108,11 @@ class EquivariantSystem:
         """x a step later."""
         return self.begin().step(x, u, t)
 
-    def sensed(self, state: PortedState, p: np.ndarray) -> np.ndarray | None:
-        """d (K, 3), None without a sensor."""
+    def sensed(self, state: PortedState, p: np.ndarray) -> np.ndarray:
+        """d (K, 3); (K, 0) without a sensor."""
         sensor = self.sensor
         if sensor is None:
-            return None
+            return np.zeros((self.n_cells, 0))
         if isinstance(sensor, FieldReader):
             return sensor.directions(self.whole.field, state.q, state.cells.place, p)
         z = self.whole.model.dynamics.join(state.cells)
@@ -129,13 +127,12 @@ class EquivariantRun(StepRun):
     def __init__(self, system: EquivariantSystem) -> None:
         super().__init__(system)
         self.memory = system.whole.field.memory()
-        self.loop = SimpleNamespace(controller=system.controller, normalise=system.normalise)
         self.steered = system.controller is not None and system.sensor is not None
         # A sensor of the cell's own state does not look at p.
         self.looks = system.finer or isinstance(system.sensor, FieldReader)
         self.t0, self.exchanges = 0.0, 0
         self.z: list[np.ndarray] = []
-        self.d: list[np.ndarray | None] = []
+        self.d: list[np.ndarray] = []
         self.angles: list[np.ndarray] = []
         self.amplitudes: list[np.ndarray] = []
         self.last: np.ndarray | None = None
@@ -164,12 +161,13 @@ class EquivariantRun(StepRun):
         d, parts = self.d[-1], 1 + system.finer
         amplitude = np.ones(K) if u is None else u[:K]
         half = self._turn(p, d, 0.5 * dt) if self.steered else p
-        angle = u[K:] if system.commanded else np.arctan2(half[:, 1], half[:, 0])
+        told = u[K:] if u is not None and system.commanded else None
+        angle = np.arctan2(half[:, 1], half[:, 0]) if told is None else told
         self.angles.append(angle)
         self.amplitudes.append(amplitude)
         state, used = system.whole.step(begin, amplitude, angle, t, self.memory, parts)
         self.exchanges = max(self.exchanges, used)
-        if not self.steered and system.commanded:
+        if not self.steered and told is not None:
             p = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(K)])
         end = system.sensed(state, half if self.steered else p)
         if self.steered and system.finer:
@@ -181,12 +179,13 @@ class EquivariantRun(StepRun):
         self._keep(state, system.sensed(state, p) if self.steered and self.looks else end)
         return system.pack(state, p)
 
-    def _keep(self, state: PortedState, d: np.ndarray | None) -> None:
+    def _keep(self, state: PortedState, d: np.ndarray) -> None:
         self.z.append(self.system.whole.model.dynamics.join(state.cells))
         self.d.append(d)
 
     def _turn(self, p: np.ndarray, d: np.ndarray, h: float) -> np.ndarray:
-        return turn(self.loop, p, d, h)
+        law = self.system.controller
+        return p if law is None else turn(law, p, d, h)
 
     def observed(self, marks: np.ndarray, rows: np.ndarray) -> dict[str, np.ndarray]:
         """p and, with a sensor, d (T, K, 3)."""
@@ -197,7 +196,8 @@ class EquivariantRun(StepRun):
 
     def events(self) -> tuple[Event, ...]:
         """Where a cell leaves the trained range."""
-        model, found = self.system.whole.model, []
+        model = self.system.whole.model
+        found: list[Event] = []
         if not self.angles:
             return ()
         t = self.t0 + self.system.dt * np.arange(len(self.z))
@@ -206,7 +206,7 @@ class EquivariantRun(StepRun):
             found += watched(model, t, z[:, c], drive[:, c], angles[:, c], f"cell{c + 1}")
         return tuple(sorted(found))
 
-    def statistics(self) -> Mapping[str, Any]:
+    def statistics(self) -> Mapping[str, float]:
         """Most exchanges of a step, and what an estimate costs over the run."""
         factor = 2.0 if self.system.controller is None else 4.0
         return {"exchanges": self.exchanges, "estimate_factor": factor}

@@ -9,7 +9,7 @@ through it cells turn towards each other, which no sensor of a cell's own state 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
@@ -18,9 +18,29 @@ from cellsys.contracts import MatrixField
 from cellsys.errors import ParameterError
 from cellsys.laws.sensing import nodal_sum, sensed_direction
 from cellsys.model.network_sensor import INNER, REACH
-from cellsys.population.ported.capabilities import FibreField, NetworkReader
+from cellsys.population.ported.capabilities import CellSensor, FibreField, NetworkReader
 
 MEASURES = ("stiffness", "stress")
+
+
+class SensingParameters(Protocol):
+    """A scene's effect such as stiffness_sensing."""
+
+    @property
+    def measure(self) -> str:
+        """``"stiffness"`` or ``"stress"``."""
+
+    @property
+    def reach(self) -> float:
+        """Sensing range, um."""
+
+    @property
+    def inner(self) -> float:
+        """Inner radius of the shell, um."""
+
+    @property
+    def threshold(self) -> float:
+        """Least |q|/S that turns a cell."""
 
 
 @checked
@@ -58,7 +78,7 @@ class FieldSensor:
             raise ParameterError(f"FieldSensor.reach must be > 1 um, got {self.reach!r}")
 
     @classmethod
-    def of(cls, effect: Any) -> FieldSensor:
+    def of(cls, effect: SensingParameters) -> FieldSensor:
         """The sensor of a scene's effect ``stiffness_sensing``."""
         return cls(effect.measure, effect.reach, effect.inner, effect.threshold)
 
@@ -90,7 +110,7 @@ class FieldSensor:
         )
 
 
-def standing_on(field: MatrixField, sensor: Any) -> Any:
+def standing_on(field: MatrixField, sensor: CellSensor | None) -> CellSensor | None:
     """The sensor with the network of this field, where it reads the stiffness at rest.
 
     A `LocalSensor` keeps the network it was fitted on; cells on another matrix stand on another.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -12,7 +12,7 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.contracts import Integrator
 from cellsys.drawable import Drawable
-from cellsys.errors import MemoryBudgetError
+from cellsys.errors import MemoryBudgetError, ParameterError
 from cellsys.loop import PolarityLaw
 from cellsys.population.poleset import PoleSet, pole_set
 from cellsys.population.ported.footprint import (
@@ -23,9 +23,13 @@ from cellsys.population.ported.footprint import (
 from cellsys.population.ported.placement import Placement
 from cellsys.population.ported.ports import CellPort, PortPassivity
 from cellsys.population.verdict import CoupledStability, judge
+from cellsys.response.integrators import apart_from, said_apart
 from cellsys.shown import Shown
 from cellsys.state_space import state_space
 from cellsys.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    import control
 
 DENSE_LIMIT = 4000
 
@@ -104,10 +108,12 @@ class PortedCells(Drawable):
     @cached_property
     def gathers(self) -> np.ndarray:
         """E_k of every cell, (K, n_f, order)."""
-        c = self.coupling
+        c, port = self.coupling, self.coupling.port
+        if port is None:
+            raise ParameterError("the cells have no port on the field: give LoadPorts(..., port=)")
         return np.array(
             [
-                c.port.gather(c.field, x, float(a))
+                port.gather(c.field, x, float(a))
                 for x, a in zip(c.positions, c.headings, strict=True)
             ]
         )
@@ -231,8 +237,8 @@ class PortedCells(Drawable):
             f"{found.error:.1e} only",
         )
         return CoupledStability(
-            verdict=found.verdict,
-            reason=f"no certificate ({self.certificate}); {said}",
+            verdict=apart_from(found.verdict, found.integrators),
+            reason=f"no certificate ({self.certificate}); {said}{said_apart(found.integrators)}",
             spectral_abscissa=found.abscissa,
             abscissa_error=found.error,
             numerical_abscissa=found.numerical,
@@ -241,7 +247,7 @@ class PortedCells(Drawable):
             route=self.route,
         )
 
-    def plant(self) -> Any:
+    def plant(self) -> control.StateSpace:
         """Cells and field as a named `control.StateSpace`: commands in, loads and states out.
 
         dt = 0, or the step of the cells.

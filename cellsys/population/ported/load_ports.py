@@ -17,15 +17,17 @@ from dataclasses import dataclass, replace
 import numpy as np  # noqa: F401 (annotates the inherited __init__)
 
 from cellsys.arguments import checked
+from cellsys.cell.charged import ChargedModel
 from cellsys.contracts import LoadPort as LoadPort  # what the inherited __init__ is annotated with
 from cellsys.contracts import MatrixField as MatrixField
 from cellsys.errors import DimensionError, ParameterError, RepresentationError
-from cellsys.population.ported.capabilities import ChargedModel, PortedCell
+from cellsys.population.ported.capabilities import CellSensor
 from cellsys.population.ported.equivariant_cells import EquivariantCells
 from cellsys.population.ported.field_sensor import standing_on
 from cellsys.population.ported.footprint import PatchPort
 from cellsys.population.ported.linear_cells import PortedCells
 from cellsys.population.ported.placement import Placement
+from cellsys.population.ported.ports import CellPort
 from cellsys.population.request import CouplingRequest
 
 
@@ -69,29 +71,31 @@ class LoadPorts(Placement):
         request.count({"LoadPorts.positions": len(self.positions)})
         model = request.model
         if isinstance(model, ChargedModel):
-            return self._equivariant(request)
-        if not isinstance(model, PortedCell):
+            return self._equivariant(request, model)
+        if not isinstance(model, CellPort):
             raise RepresentationError(
                 f"LoadPorts needs a cell with a load port, and a {type(model).__name__} has none; "
                 "use a CellPort or an Equivariant model"
             )
-        here = replace(self, port=PatchPort()) if self.port is None else self
-        if model.n_loads != here.port.n_loads:
+        port = PatchPort() if self.port is None else self.port
+        if model.n_loads != port.n_loads:
             raise DimensionError(
-                f"the cell has {model.n_loads} loads, its port on the matrix {here.port.n_loads}"
+                f"the cell has {model.n_loads} loads, its port on the matrix {port.n_loads}"
             )
-        if request.sensor is not None:
-            model = replace(model, sensor=request.sensor)
+        here = replace(self, port=port) if self.port is None else self
+        sensor = request.own_sensor()
+        if sensor is not None:
+            model = replace(model, sensor=sensor)
         cells = PortedCells(model, here, request.controller, request.normalise)
         here.check_port(cells.passivity)
         return cells
 
-    def _equivariant(self, request: CouplingRequest) -> EquivariantCells:
-        model, controller = request.model, request.controller
+    def _equivariant(self, request: CouplingRequest, model: ChargedModel) -> EquivariantCells:
+        controller = request.controller
         if self.port is not None:
             raise ParameterError("an equivariant model has its own port; leave port= out")
-        sensor = model.sensor if request.sensor is None else request.sensor
-        sensor = standing_on(self.field, sensor)
+        own: CellSensor | None = model.sensor
+        sensor = standing_on(self.field, own if request.sensor is None else request.sensor)
         if controller is not None and sensor is None:
             raise ParameterError("a controller needs a sensor; the model has none, pass sensor=")
         cells = EquivariantCells(

@@ -10,6 +10,7 @@ import numpy as np
 from cellsys.arguments import checked
 from cellsys.contracts import LoadPort, MatrixField
 from cellsys.errors import DimensionError, ParameterError
+from cellsys.kinds import FILLED, Filled
 from cellsys.population.graph import check_positions
 from cellsys.population.ported.ports import PortPassivity
 from cellsys.units import real_array
@@ -26,7 +27,7 @@ class Placement:
     field: MatrixField
     positions: np.ndarray
     _: KW_ONLY
-    headings: np.ndarray | None = None
+    headings: Filled[np.ndarray] = FILLED
     port: LoadPort | None = None
     allow_active: bool = False
     name: ClassVar[str] = "LoadPorts"

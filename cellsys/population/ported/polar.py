@@ -14,16 +14,16 @@ from functools import cached_property
 
 import numpy as np
 import scipy.linalg as sla
-import scipy.sparse as sp
 
-from cellsys.cell.model import EquivariantModel
+from cellsys.cell.charged import ChargedModel
 from cellsys.cell.port import PolarPort, PortSites
 from cellsys.contracts import MatrixField
-from cellsys.population.ported.capabilities import ChargedModel, ModalField
+from cellsys.population.ported.capabilities import ModalField
 from cellsys.population.ported.ports import CellPort
+from cellsys.system import is_sparse
 
 
-def frozen_port(model: EquivariantModel, t: float | None = None) -> CellPort:
+def frozen_port(model: ChargedModel, t: float | None = None) -> CellPort:
     """The cell frozen at time t (s since contact; default the end of training) as a `CellPort`.
 
     Parameters
@@ -98,7 +98,7 @@ class PolarGather:
             nodal[:, rows] = scattered
             return np.asarray(field.project(nodal.reshape(len(scattered), -1, 3)))
         modes = field.modes[rows]
-        return np.array(scattered) @ (modes.toarray() if sp.issparse(modes) else modes)
+        return np.array(scattered) @ (modes.toarray() if is_sparse(modes) else modes)
 
 
 def polar_gather(model: ChargedModel, field: MatrixField) -> PolarGather:

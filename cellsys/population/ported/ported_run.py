@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.linalg as sla
@@ -18,15 +18,19 @@ from cellsys.loop import ClosedLoop
 from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.model import LatentModel
 from cellsys.population.flows import CellFlows, polarities, symbolic_cells
-from cellsys.population.headings import commands, loop_of, rates, sensed, turn
+from cellsys.population.headings import commands, loop_of, rates, sensed, steering, turn
+from cellsys.population.ported.cells_at_ports import CellsAtPorts
 from cellsys.system import Block, Layout, OdeSystem, SymbolicForm
 from cellsys.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    import casadi as ca
 
 
 class PortFlow:
     """Exact flow of x' = M x + G (b + B c) with c held; x = [z_1 .. z_K, q]."""
 
-    def __init__(self, cells: Any) -> None:
+    def __init__(self, cells: CellsAtPorts) -> None:
         self.cells = cells
         self.M, G = cells.whole
         K, cell = cells.n_cells, cells.model
@@ -55,10 +59,13 @@ class PortFlow:
 
     def sense(self, x: np.ndarray) -> np.ndarray:
         """S_d z (K, 3)."""
-        return self.states(x) @ self.cells.model.sensor.S_d.T
+        sensor = self.cells.model.sensor
+        if sensor is None:
+            raise ParameterError("the cell has no sensor: give CellPort(..., sensor=)")
+        return self.states(x) @ sensor.S_d.T
 
 
-def ported_loop(cells: Any) -> ClosedLoop | None:
+def ported_loop(cells: CellsAtPorts) -> ClosedLoop | None:
     """The polarity loop of every cell, or None without headings or sensor."""
     cell = cells.model
     if cell.dt is None:
@@ -70,7 +77,7 @@ def ported_loop(cells: Any) -> ClosedLoop | None:
 
 
 def run_ported(
-    cells: Any,
+    cells: CellsAtPorts,
     t: np.ndarray,
     integrator: Integrator | None,
     z0: np.ndarray | None,
@@ -80,21 +87,18 @@ def run_ported(
     """See `PortedCells.simulate`."""
     cell, loop = cells.model, ported_loop(cells)
     start = initial(cells, loop, z0, p0, q0)
+    label = f"{cells.n_cells} cells on one field"
     if cell.dt is not None:
-        system: Any = PortedSteps(cells=cells, flow=PortFlow(cells), loop=loop, x0=start)
-        refuse_integrator(system, integrator, "cells without dt take any")
-        method: Any = None
-    else:
-        system = ported_system(cells, loop, start)
-        method = Splitting() if integrator is None else integrator
-        method = method.of_cells() if isinstance(method, ComposesFlows) else method
-    return simulate(
-        system, method, t, auxiliaries=False, label=f"{cells.n_cells} cells on one field"
-    )
+        steps = PortedSteps(cells=cells, flow=PortFlow(cells), loop=loop, x0=start, dt=cell.dt)
+        refuse_integrator(steps, integrator, "cells without dt take any")
+        return simulate(steps, None, t, auxiliaries=False, label=label)
+    method = Splitting() if integrator is None else integrator
+    method = method.of_cells() if isinstance(method, ComposesFlows) else method
+    return simulate(ported_system(cells, loop, start), method, t, auxiliaries=False, label=label)
 
 
 def initial(
-    cells: Any,
+    cells: CellsAtPorts,
     loop: ClosedLoop | None,
     z0: np.ndarray | None,
     p0: np.ndarray | None,
@@ -116,7 +120,7 @@ def initial(
     return np.concatenate([z.ravel(), q, *([] if loop is None else [p.ravel()])])
 
 
-def layout(cells: Any, loop: ClosedLoop | None) -> Layout:
+def layout(cells: CellsAtPorts, loop: ClosedLoop | None) -> Layout:
     """z (K, m), q and, with a loop, p (K, 3)."""
     K, n = cells.n_cells, int(cells.coupling.field.order)
     blocks = [Block("z", (K, cells.order)), Block("q", (n,), "um", role="field")]
@@ -140,7 +144,7 @@ class PortedSystem(OdeSystem):
         d = sensed(self.loop, self.flow.sense(x[:n]))
         return {"p": x[n:].reshape(-1, 3).copy(), "d": d}
 
-    def casadi(self) -> SymbolicForm:
+    def casadi(self) -> SymbolicForm[ca.MX]:
         """CasADi form of cells and field."""
         kept = self.__dict__.get("_symbolic_form")
         if kept is None:
@@ -152,7 +156,7 @@ class PortedSystem(OdeSystem):
         return kept
 
 
-def ported_system(cells: Any, loop: ClosedLoop | None, start: np.ndarray) -> PortedSystem:
+def ported_system(cells: CellsAtPorts, loop: ClosedLoop | None, start: np.ndarray) -> PortedSystem:
     """Continuous cells and field as an `OdeSystem`."""
     flow = PortFlow(cells)
     n, still = len(flow.M), np.zeros((cells.n_cells, flow.n_inputs))
@@ -164,7 +168,7 @@ def ported_system(cells: Any, loop: ClosedLoop | None, start: np.ndarray) -> Por
         if loop is None:
             return moved
         d = sensed(loop, flow.sense(x[:n]))
-        return np.concatenate([moved, rates(loop, p, d).ravel()])
+        return np.concatenate([moved, rates(loop.controller, p, d).ravel()])
 
     system = PortedSystem(states=layout(cells, loop), x0=start, forcing=forcing)
     object.__setattr__(system, "flow", flow)
@@ -179,16 +183,12 @@ class PortedSteps:
     `inside`: the heading is followed inside each step and commands act by their means.
     """
 
-    cells: Any
+    cells: CellsAtPorts
     flow: PortFlow
     loop: ClosedLoop | None
     x0: np.ndarray
+    dt: float  # step of the cells, s
     inside: bool = False
-
-    @property
-    def dt(self) -> float:
-        """Step of the cells, s."""
-        return self.cells.model.dt
 
     @property
     def states(self) -> Layout:
@@ -224,11 +224,11 @@ class PortedSteps:
 
     def sensed(self, y: np.ndarray) -> np.ndarray:
         """d (K, 3) of cells and field."""
-        return sensed(self.loop, self.flow.sense(y))
+        return sensed(steering(self.loop), self.flow.sense(y))
 
     def turned(self, p: np.ndarray, d: np.ndarray, h: float) -> np.ndarray:
         """p after h with d held."""
-        return turn(self.loop, p, d, h)
+        return turn(steering(self.loop).controller, p, d, h)
 
 
 class PortedRun(StepRun):
@@ -253,8 +253,8 @@ class PortedRun(StepRun):
         if self.limit is None:
             self.limit = 1e100 * max(1.0, float(np.linalg.norm(x[:n])))
         with np.errstate(over="ignore", invalid="ignore"):
-            inside = system.inside and system.loop is not None
-            after = self._inside(x) if inside else system.step(x, u, t)
+            loop = system.loop if system.inside else None
+            after = system.step(x, u, t) if loop is None else self._inside(x, loop)
             size = np.linalg.norm(after[:n])
         if not size <= self.limit:
             raise IntegrationError(
@@ -266,14 +266,14 @@ class PortedRun(StepRun):
             )
         return after
 
-    def _inside(self, x: np.ndarray) -> np.ndarray:
+    def _inside(self, x: np.ndarray, loop: ClosedLoop) -> np.ndarray:
         system, n = self.system, len(self.system.flow.M)
         y, p = x[:n], x[n:].reshape(-1, 3)
-        d, ahead, end = system.sensed(y), system.moved(y, commands(system.loop, p)), p
+        d, ahead, end = system.sensed(y), system.moved(y, commands(loop, p)), p
         for _ in range(2):
             three = (self.last, d, system.sensed(ahead))
             angles, end = headings_inside(system.turned, p, three, system.dt)
-            each = [commands(system.loop, np.stack([np.cos(a), np.sin(a)], axis=1)) for a in angles]
+            each = [commands(loop, np.stack([np.cos(a), np.sin(a)], axis=1)) for a in angles]
             ahead = system.moved(y, np.mean(each, axis=0))
         self.last = d
         return np.concatenate([ahead, end.ravel()])

@@ -16,6 +16,7 @@ import scipy.linalg as sla
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.kinds import FILLED, Filled
 from cellsys.model import StiffnessSensor
 from cellsys.shown import Shown
 from cellsys.units import real_array
@@ -56,12 +57,12 @@ class CellPort:
 
     A: np.ndarray
     F: np.ndarray
-    C: np.ndarray | None = None
-    B: np.ndarray | None = None
-    offset: np.ndarray | None = None
-    metric: np.ndarray | None = None
+    C: Filled[np.ndarray] = FILLED
+    B: Filled[np.ndarray] = FILLED
+    offset: Filled[np.ndarray] = FILLED
+    metric: Filled[np.ndarray] = FILLED
     dt: float | None = None
-    input_names: tuple[str, ...] | None = None
+    input_names: Filled[tuple[str, ...]] = FILLED
     sensor: StiffnessSensor | None = None
     z_start: np.ndarray | None = None
 
@@ -92,7 +93,7 @@ class CellPort:
                 raise DataError(f"{name} holds NaN or inf")
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        P = self.metric
+        P: np.ndarray = self.metric
         if np.abs(P - P.T).max() > 1e-12 * np.abs(P).max() or sla.eigvalsh(P)[0] <= 0:
             raise ParameterError("metric must be symmetric and positive definite")
         if self.dt is not None and not (np.isfinite(self.dt) and self.dt > 0):
@@ -127,7 +128,15 @@ class CellPort:
         C = -gamma * sla.solve(P, F.T, assume_a="pos")
         if dt is not None:
             C = 0.5 * (C + A @ C)
-        return cls(A=A, F=F, C=C, B=B, offset=offset, metric=P, dt=dt)
+        return cls(
+            A=A,
+            F=F,
+            C=C,
+            B=FILLED if B is None else B,
+            offset=FILLED if offset is None else offset,
+            metric=P,
+            dt=dt,
+        )
 
     @property
     def order(self) -> int:

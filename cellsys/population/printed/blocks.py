@@ -72,6 +72,15 @@ def eigenvalues_of_N(
     return N, max(zero, DOUBTFUL) if drop else zero
 
 
+def kept_directions(split: FieldSplit, omega: np.ndarray, *, drop: bool = False) -> np.ndarray:
+    """(n, m): which directions of N are kept for each eigenvalue of the interaction (n,)."""
+    masks = []
+    for value in omega:
+        N, zero = eigenvalues_of_N(split, float(value), drop=drop)
+        masks.append(np.abs(N) > zero)
+    return np.array(masks)
+
+
 @dataclass(frozen=True, kw_only=True)
 class PrintedForm:
     """Shared by the forms that need rows of V.

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -25,14 +25,28 @@ from cellsys.loop import ClosedLoop
 from cellsys.model import LatentModel
 from cellsys.population.graph import InteractionGraph
 from cellsys.population.poleset import PoleSet, pole_set
-from cellsys.population.printed.blocks import ModeBlock, PrintedForm, eigenvalues_of_N
+from cellsys.population.printed.blocks import (
+    ModeBlock,
+    PrintedForm,
+    eigenvalues_of_N,
+    kept_directions,
+)
 from cellsys.population.printed.certainty import block_certainty
+from cellsys.population.printed.closed import CoupledLoop, linearize
 from cellsys.population.printed.dense import dense_block
+from cellsys.population.printed.limits import limit_poles
 from cellsys.population.printed.maps import field_rows
 from cellsys.population.printed.modes import Modes, modes_of
+from cellsys.population.printed.plant import plant_of
+from cellsys.population.printed.simulation import run
 from cellsys.population.printed.split import FieldSplit, field_split
+from cellsys.population.printed.system import CoupledSystem, coupled_system, rightmost_poles
+from cellsys.population.verdict import CoupledStability, stability_of
 from cellsys.response.certainty import PoleCertainty
 from cellsys.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    import control
 
 DENSE_LIMIT = 4000
 POLE_LIMIT = 1_000_000
@@ -95,6 +109,10 @@ class CoupledCells(Drawable):
     @cached_property
     def modes(self) -> Modes | None:
         """The split of the interaction; None on the dense and matrix-free routes."""
+        return self._split if isinstance(self._split, Modes) else None
+
+    @cached_property
+    def _split(self) -> Modes | InteractionGraph:
         return modes_of(self.n_cells, self.graph)
 
     @cached_property
@@ -120,33 +138,25 @@ class CoupledCells(Drawable):
 
     # Blocks
 
-    @cached_property
-    def _rotate(self) -> bool:
+    def _rotate(self, modes: Modes) -> bool:
         """Whether x lives in the basis W: a direction is dropped somewhere, or R is not I."""
         if not self.coupling.inverted():
             return False
         if self.coupling.extra(self.order) is not None:
             return True
-        return not self._kept_mask().all()
-
-    def _kept_mask(self, *, drop: bool = False) -> np.ndarray:
-        """(n, m): which directions of N are kept for each eigenvalue of the interaction."""
-        masks = []
-        for omega in self.modes.omega:
-            N, zero = eigenvalues_of_N(self.rank, float(omega), drop=drop)
-            masks.append(np.abs(N) > zero)
-        return np.array(masks)
+        return not kept_directions(self.rank, modes.omega).all()
 
     def blocks(self, *, drop: bool = False) -> list[ModeBlock]:
         """Every block of the split, in the order of `modes.omega`; one on the dense route."""
         self._refuse_matrix_free("blocks()", "simulate() works")
         A = self.matrices[0]
-        if self.modes is None:
-            return [dense_block(self.coupling, self.rank, A, self.graph, drop=drop)]
-        rotate = self._rotate or drop
+        modes = self._split
+        if isinstance(modes, InteractionGraph):
+            return [dense_block(self.coupling, self.rank, A, modes, drop=drop)]
+        rotate = drop or self._rotate(modes)
         return [
             self.coupling.block(self.rank, A, float(w), rotate=rotate, drop=drop)
-            for w in self.modes.omega
+            for w in modes.omega
         ]
 
     @cached_property
@@ -170,23 +180,28 @@ class CoupledCells(Drawable):
                 (b.M[np.ix_(b.kept, b.kept)], int(k), b.dropped, b.omega)
                 for b, k in zip(found, n, strict=True)
             ]
-        groups: dict[bytes, list] = {}
+        groups: dict[bytes, tuple[np.ndarray, list[int], list[float]]] = {}
         for mask, n, w in zip(
-            self._kept_mask(drop=drop), self.modes.multiplicity, self.modes.omega, strict=True
+            kept_directions(self.rank, self.modes.omega, drop=drop),
+            self.modes.multiplicity,
+            self.modes.omega,
+            strict=True,
         ):
-            groups.setdefault(mask.tobytes(), [mask, 0, []])
-            groups[mask.tobytes()][1] += int(n)
-            groups[mask.tobytes()][2].append(float(w))
+            _, counts, omegas = groups.setdefault(mask.tobytes(), (mask, [], []))
+            counts.append(int(n))
+            omegas.append(float(w))
         A = self.matrices[0]
         A_w = None
         out = []
-        for mask, n, omegas in groups.values():
+        for mask, counts, omegas in groups.values():
             if mask.all():
                 M = A
             else:
                 A_w = split.W.T @ A @ split.W if A_w is None else A_w
                 M = A_w[np.ix_(mask, mask)]
-            out.append((M, n, int((~mask).sum()), omegas[0] if len(omegas) == 1 else np.nan))
+            out.append(
+                (M, sum(counts), int((~mask).sum()), omegas[0] if len(omegas) == 1 else np.nan)
+            )
         return out
 
     @cached_property
@@ -285,20 +300,16 @@ class CoupledCells(Drawable):
         where P is singular (poles then grow like K). Feedback: eig(R P A), reached after division
         by K - 1.
         """
-        from cellsys.population.printed.limits import limit_poles
-
         return limit_poles(self)
 
-    def stability(self) -> Any:
+    def stability(self) -> CoupledStability:
         """Verdict block by block, with the error bounds of the poles; integrators set apart."""
-        from cellsys.population.verdict import stability_of
-
         self._refuse_matrix_free("stability()", "rightmost() works for Feedback")
         return stability_of(self)
 
     # What other files of the room do with it
 
-    def plant(self, coordinates: str | None = None) -> Any:
+    def plant(self, coordinates: str | None = None) -> control.StateSpace:
         """The whole as a named `control.StateSpace` (dt = 0, K m <= 4000).
 
         Inputs are the commands of every cell, outputs the emergent latent states z.
@@ -310,8 +321,6 @@ class CoupledCells(Drawable):
             unless 1 - lambda < 1e-3 somewhere: A would hold |A|/(1 - lambda), and poles computed
             from it would be wrong.
         """
-        from cellsys.population.printed.plant import plant_of
-
         if coordinates is None:
             low = min(b.smallest for b in self._checked_blocks("plant()"))
             coordinates = "emergent" if low >= _STIFF else "isolated"
@@ -334,10 +343,8 @@ class CoupledCells(Drawable):
         return self.modes.assemble(np.array([b.emergent for b in found]))
 
     @property
-    def system(self) -> Any:
+    def system(self) -> CoupledSystem:
         """The whole as an `OdeSystem` with states z (K, m) and p (K, 3), for any integrator."""
-        from cellsys.population.printed.system import coupled_system
-
         return coupled_system(self)
 
     def simulate(
@@ -376,20 +383,14 @@ class CoupledCells(Drawable):
         ParameterError
             For an integrator that these cells cannot take, with those that serve.
         """
-        from cellsys.population.printed.simulation import run
-
         return run(self, t, integrator, z0, p0, progress)
 
     def rightmost(self, count: int = 6) -> np.ndarray:
         """The `count` rightmost poles by Arnoldi iterations, for K m above the dense limit."""
-        from cellsys.population.printed.system import rightmost_poles
-
         return rightmost_poles(self, count)
 
-    def linearize(self, at: Any = None) -> Any:
+    def linearize(self, at: object = None) -> CoupledLoop:
         """Closed polarity loops of all cells about one common point; see `CoupledLoop`."""
-        from cellsys.population.printed.closed import linearize
-
         return linearize(self, at)
 
     def __str__(self) -> str:

@@ -12,7 +12,7 @@ so the loop gain of the mean block grows with K.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -20,6 +20,7 @@ import scipy.linalg as sla
 from cellsys.drawable import Drawable
 from cellsys.errors import MemoryBudgetError, ParameterError
 from cellsys.population.poleset import PoleSet, pole_set
+from cellsys.population.printed.printed_cells import PrintedCells
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ class CoupledLoop(Drawable):
         )
 
 
-def linearize(cells: Any, at: Any = None) -> CoupledLoop:
+def linearize(cells: PrintedCells, at: object = None) -> CoupledLoop:
     """Linearise `CoupledCells` with every cell at the same point.
 
     Parameters

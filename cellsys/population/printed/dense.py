@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.linalg as sla
-import scipy.sparse as sp
 
 from cellsys.population.graph import InteractionGraph
 from cellsys.population.printed.blocks import ModeBlock, PrintedForm
@@ -34,7 +33,7 @@ def dense_block(
         Drop the doubtful directions as well.
     """
     m, K = split.order, graph.n_cells
-    w = graph.weights.toarray() if sp.issparse(graph.weights) else graph.weights
+    w = graph.dense()
     eye = np.eye(K * m)
     isolated = np.kron(np.eye(K), A)
     N = eye + np.kron(w, split.P)

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence as Sequence  # what the inherited __init__ is annotated with
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.model import basis_of
+from cellsys.model.latent import with_basis
 from cellsys.population.headings import loop_of
 from cellsys.population.printed.blocks import PrintedForm
 from cellsys.population.printed.cells import CoupledCells
@@ -27,7 +27,7 @@ from cellsys.population.request import CouplingRequest
 from cellsys.units import real_array
 
 
-def _map(value: Any, name: str, m: int) -> np.ndarray:
+def _map(value: np.ndarray | ForceMap, name: str, m: int) -> np.ndarray:
     array = real_array(value.matrix if isinstance(value, ForceMap) else value, name)
     if array.shape != (m, m):
         raise DimensionError(f"{name} must be ({m}, {m}) like A, got {array.shape}")
@@ -51,13 +51,13 @@ class JoiningForm(PrintedForm):
             When the model has no V or names no matrix rows.
         ParameterError, DimensionError
         """
-        model, headings, K = request.model, request.headings, request.count()
-        basis_of(model, self.name)
+        headings, K = request.headings, request.count()
+        model, _ = with_basis(request.model, self.name)
         self.check_rows(field_rows(model, self.rows, self.name))
         self.extra(model.order)
         if headings is not None and (headings.shape != (K,) or not np.all(np.isfinite(headings))):
             raise DimensionError(f"headings must be {K} finite angles in rad")
-        loop = loop_of(model, request.controller, request.sensor, request.normalise, headings)
+        loop = loop_of(model, request.controller, request.own_sensor(), request.normalise, headings)
         return CoupledCells(
             model=model,
             n_cells=K,

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.linalg as sla
 
 from cellsys.errors import ParameterError
+from cellsys.population.printed.printed_cells import PrintedCells
 
 
-def limit_poles(cells: Any) -> np.ndarray:
+def limit_poles(cells: PrintedCells) -> np.ndarray:
     """See `CoupledCells.limit_poles`."""
     A, m = cells.matrices[0], cells.order
     extra = cells.coupling.extra(m)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
@@ -21,12 +20,14 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.contracts import ReducedModel
 from cellsys.errors import DataError, DimensionError, ParameterError, RepresentationError
-from cellsys.model import basis_of
+from cellsys.model.latent import basis_of, with_basis
 
 _ORTHONORMAL = 1e-8  # |V^T V - I| up to which the split P + V_alpha^T V_alpha = I is meant to hold
 
 
-def field_rows(model: Any, rows: str | Sequence[int], what: str = "a field map") -> np.ndarray:
+def field_rows(
+    model: ReducedModel, rows: str | Sequence[int], what: str = "a field map"
+) -> np.ndarray:
     """Row indices of V that belong to the matrix.
 
     Parameters
@@ -35,13 +36,13 @@ def field_rows(model: Any, rows: str | Sequence[int], what: str = "a field map")
     rows : "field", "forces" or sequence of int
         All matrix rows (``blocks["field"]``), those among the auxiliaries (its forces), or these.
     """
-    V = basis_of(model, what)
+    named, V = with_basis(model, what)
     if isinstance(rows, str):
         if rows not in ("field", "forces"):
             raise ParameterError(f"rows must be 'field', 'forces' or indices, got {rows!r}")
-        found = np.asarray(model.blocks.get("field", ()), dtype=int)
+        found = np.asarray(named.blocks.get("field", ()), dtype=int)
         if rows == "forces":
-            found = found[found >= model.n_states]
+            found = found[found >= named.n_states]
         if not found.size:
             raise RepresentationError(
                 f"{what} needs rows of the matrix, and this model names none"
@@ -64,7 +65,7 @@ def _check_basis(V: np.ndarray) -> None:
         )
 
 
-def other_rows(model: Any, rows: np.ndarray, what: str) -> np.ndarray:
+def other_rows(model: ReducedModel, rows: np.ndarray, what: str) -> np.ndarray:
     """V_alpha: all rows of V but `rows`; V is checked to be orthonormal."""
     V = basis_of(model, what)
     _check_basis(V)
@@ -110,13 +111,13 @@ def P_c(
         x, y, z of node 1, then node 2 (default), or all x, then all y, then all z (the order of
         the thesis's appendix).
     """
-    V = basis_of(model, "P_c")
+    named, V = with_basis(model, "P_c")
     if order not in ("node", "component"):
         raise ParameterError(f"order must be 'node' or 'component', got {order!r}")
     if rows is None:
-        if model.states is None:
+        if named.states is None:
             raise RepresentationError("P_c: the model does not name its states; pass rows=")
-        chosen = model.states.where(role="component", kind="position")
+        chosen = named.states.where(role="component", kind="position")
     else:
         chosen = np.asarray(list(rows), dtype=int)
     if not chosen.size or chosen.size % 3 or chosen.min() < 0 or chosen.max() >= len(V):
@@ -195,22 +196,22 @@ def fit_P_map(
         raise DimensionError(f"latent must be (N, {V.shape[1]}), got {Z.shape}")
     if not np.all(np.isfinite(Z)):
         raise DataError("latent holds NaN or inf")
-    if (cell_rows is None) == (pairs is None):
-        raise ParameterError("P_map is fitted to cell_rows= or to pairs=; give one of them")
     if not (np.isfinite(tol) and 0 <= tol < 1):
         raise ParameterError(f"tol must be in [0, 1), got {tol!r}")
     rows = field_rows(model, field, "P_map")
     V_F = V[rows]
     mismatch = float("nan")
-    if pairs is None:
+    if cell_rows is not None and pairs is None:
         V_c = V[np.asarray(list(cell_rows), dtype=int)]
         target = (Z @ V_c.T) @ V_c
-    else:
+    elif pairs is not None and cell_rows is None:
         i, j = np.asarray(list(pairs), dtype=int).T
         on_cell, on_matrix = Z @ V[i].T, Z @ V[j].T
         size = float(np.linalg.norm(on_matrix))
         mismatch = float(np.linalg.norm(on_cell + on_matrix)) / size if size > 0 else 0.0
         target = -on_matrix @ V[i]
+    else:
+        raise ParameterError("P_map is fitted to cell_rows= or to pairs=; give one of them")
     known = (Z @ V_F.T) @ V_F
     U, s, Wt = sla.svd(known, full_matrices=False)
     rank = int(np.count_nonzero(s > tol * s.max(initial=0.0)))

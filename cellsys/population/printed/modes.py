@@ -43,7 +43,7 @@ class Modes:
             cells = np.arange(K)
             whole[cells, :, cells, :] += rest
             return whole.reshape(K * a, K * b)
-        Q = self.Q
+        Q = self.graph.modes[1]
         right = np.einsum("lj,jab->jalb", Q, blocks).reshape(n, -1)
         return (Q @ right).reshape(K * a, K * b)
 
@@ -54,21 +54,27 @@ class Modes:
                 return values @ blocks[0].T
             mean = values.mean(axis=0)
             return (values - mean) @ blocks[1].T + blocks[0] @ mean
-        hat = np.einsum("jab,jb->ja", blocks, self.Q.T @ values)
-        return self.Q @ hat
+        Q = self.graph.modes[1]
+        return Q @ np.einsum("jab,jb->ja", blocks, Q.T @ values)
 
 
-def modes_of(n_cells: int, graph: InteractionGraph | None) -> Modes | None:
-    """The split of a graph; None where it has none (not symmetric, or too large)."""
-    weight = 1.0 if graph is None else graph.uniform
-    if weight is not None:
-        if n_cells == 1:
-            return Modes(1, np.zeros(1), np.ones(1, dtype=np.int64))
-        return Modes(
-            n_cells,
-            np.array([(n_cells - 1) * weight, -weight]),
-            np.array([1, n_cells - 1], dtype=np.int64),
-        )
+def modes_of(n_cells: int, graph: InteractionGraph | None) -> Modes | InteractionGraph:
+    """The split of a graph; the graph itself where it has none (not symmetric, or too large)."""
+    if graph is None:
+        return _alike(n_cells, 1.0)
+    if graph.uniform is not None:
+        return _alike(n_cells, graph.uniform)
     if not graph.splits:
-        return None
+        return graph
     return Modes(n_cells, graph.omega, np.ones(n_cells, dtype=np.int64), graph)
+
+
+def _alike(n_cells: int, weight: float) -> Modes:
+    """Mean and differences of cells that all meet with one weight."""
+    if n_cells == 1:
+        return Modes(1, np.zeros(1), np.ones(1, dtype=np.int64))
+    return Modes(
+        n_cells,
+        np.array([(n_cells - 1) * weight, -weight]),
+        np.array([1, n_cells - 1], dtype=np.int64),
+    )

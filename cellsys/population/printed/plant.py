@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cellsys.errors import ParameterError
 from cellsys.population.printed.blocks import ModeBlock
+from cellsys.population.printed.printed_cells import PrintedCells
 from cellsys.state_space import state_space
 
+if TYPE_CHECKING:
+    import control
 
-def plant_of(cells: Any, blocks: list[ModeBlock], coordinates: str) -> Any:
+
+def plant_of(cells: PrintedCells, blocks: list[ModeBlock], coordinates: str) -> control.StateSpace:
     """Assemble the blocks: x' = M x + G B c, z = T x, or the same in z.
 
     Parameters
@@ -27,13 +31,14 @@ def plant_of(cells: Any, blocks: list[ModeBlock], coordinates: str) -> Any:
     emergent = coordinates == "emergent"
     M = np.array([b.emergent if emergent else b.M for b in blocks])
     T = np.array([np.eye(len(b.T)) if emergent else b.T for b in blocks])
-    if cells.modes is None:
+    modes = cells.modes
+    if modes is None:
         into = blocks[0].T @ blocks[0].G if emergent else blocks[0].G
         A, C, G = M[0], T[0], into @ np.kron(np.eye(K), B)
     else:
         into = np.array([(b.T @ b.G if emergent else b.G) @ B for b in blocks])
-        A, C = cells.modes.assemble(M), cells.modes.assemble(T)
-        G = cells.modes.assemble(into) if B.shape[1] else np.zeros((K * m, 0))
+        A, C = modes.assemble(M), modes.assemble(T)
+        G = modes.assemble(into) if B.shape[1] else np.zeros((K * m, 0))
     inputs = [n.split(".")[-1].replace(".", "_") for n in cells.model.input_names]
     inputs = [n.replace("[", "_").replace("]", "") for n in inputs]
     letter = "z" if emergent else "x"

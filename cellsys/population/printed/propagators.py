@@ -8,42 +8,44 @@ differences when all cells meet alike, the graph's modes else.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.linalg as sla
+
+from cellsys.errors import RepresentationError
+from cellsys.model.latent import with_basis
+from cellsys.population.printed.printed_cells import PrintedCells
 
 
 class Propagators:
     """Linear flow of `CoupledCells` for given commands."""
 
-    def __init__(self, cells: Any) -> None:
+    def __init__(self, cells: PrintedCells) -> None:
         _, B, b = cells.matrices
-        blocks, self.modes = cells.blocks(), cells.modes
+        blocks, modes = cells.blocks(), cells.modes
+        self.Q = None if modes is None else modes.Q  # (K, K) of a graph
         self.K, self.m = cells.n_cells, cells.order
         self.M = np.array([block.M for block in blocks])
         self.T = np.array([block.T for block in blocks])
         self.D = np.array([block.D for block in blocks])
         self.drive = np.array([block.G @ np.column_stack([B, b]) for block in blocks])
         self.n_inputs = B.shape[1]
-        self.graph = self.modes.graph is not None
         # Superposition of cells that share no purely matrix direction: one flow for all.
         self.same_flow = len(blocks) == 2 and all(
             np.array_equal(a[0], a[1]) for a in (self.M, self.drive)
         )
-        self._kept: dict[float, tuple[np.ndarray, np.ndarray]] = {}
+        self._kept: dict[float, np.ndarray] = {}
 
     def to_modes(self, values: np.ndarray) -> np.ndarray:
         """Cell index (K, .) to modal index; differences stay in cell coordinates."""
-        return self.modes.Q.T @ values if self.graph else values
+        return values if self.Q is None else self.Q.T @ values
 
     def to_cells(self, values: np.ndarray) -> np.ndarray:
         """Modal index back to the cells."""
-        return self.modes.Q @ values if self.graph else values
+        return values if self.Q is None else self.Q @ values
 
     def act(self, blocks: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Each block on its mode: (n, a, b) on (K, b) in modal coordinates."""
-        if self.graph:
+        if self.Q is not None:
             return (blocks @ values[:, :, None])[:, :, 0]
         out = values @ blocks[-1].T
         if len(blocks) == 2:
@@ -74,7 +76,7 @@ class Propagators:
 class EmergentFlow(Propagators):
     """Propagators with the read-outs of emergent states and of the sensor."""
 
-    def __init__(self, cells: Any) -> None:
+    def __init__(self, cells: PrintedCells) -> None:
         super().__init__(cells)
         self.offset = rest_offset(cells)
         if cells.loop is not None:
@@ -95,7 +97,7 @@ class EmergentFlow(Propagators):
         return self.to_cells(self.act(self.reader, x)) + self.shift
 
 
-def rest_offset(cells: Any) -> np.ndarray:
+def rest_offset(cells: PrintedCells) -> np.ndarray:
     """(K, m): what neighbours add to z besides P z_l when z = 0 is not rest.
 
     With a centred basis each neighbour adds its mean field, V_phi^T S^-1 mean(phi); zero for
@@ -105,9 +107,14 @@ def rest_offset(cells: Any) -> np.ndarray:
     if not cells.coupling.inverted() or K == 1:
         return np.zeros((K, cells.order))
     rows = cells.field
+    _, V = with_basis(model, cells.coupling.name)
+    if model.scale is None or model.mean is None:
+        raise RepresentationError(
+            f"{cells.coupling.name} needs the centre and scale of V's rows, and this model has none"
+        )
     scale = model.scale[rows]
     mean = np.divide(model.mean[rows], scale, out=np.zeros(len(rows)), where=scale > 0)
-    step = model.V[rows].T @ mean
+    step = V[rows].T @ mean
     if cells.graph is None:
         return np.tile((K - 1) * step, (K, 1))
     return np.outer(cells.graph.receive(np.ones(K)), step)

@@ -6,12 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cellsys.contracts import Cells, Integrator
+from cellsys.contracts import Integrator
 from cellsys.errors import ParameterError
 from cellsys.integrate.capabilities import ComposesFlows, Splits
 from cellsys.integrate.simulate import simulate
 from cellsys.integrate.splitting import Splitting
 from cellsys.loop.loop_system import model_error
+from cellsys.population.printed.printed_cells import PrintedCells
 from cellsys.population.printed.system import coupled_system
 from cellsys.trajectory import Trajectory
 
@@ -19,7 +20,7 @@ SERVE = "DOP853, Radau, LSODA or CVODES"
 
 
 def run(
-    cells: Cells,
+    cells: PrintedCells,
     t: np.ndarray,
     integrator: Integrator | None,
     z0: np.ndarray | None,

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
 
 from cellsys.arguments import checked
+from cellsys.contracts import ReducedModel
 from cellsys.errors import ParameterError
 from cellsys.population.printed.maps import other_rows
 from cellsys.shown import Shown
@@ -91,7 +91,7 @@ class FieldSplit(Shown):
         return text
 
 
-def field_split(model: Any, rows: np.ndarray, tol: float | None, what: str) -> FieldSplit:
+def field_split(model: ReducedModel, rows: np.ndarray, tol: float | None, what: str) -> FieldSplit:
     """Singular value decomposition of V_alpha with the rank decision.
 
     Parameters

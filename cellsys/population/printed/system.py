@@ -6,7 +6,7 @@ of a small number is formed, and the polarities p.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,10 +14,15 @@ import scipy.sparse.linalg as spla
 
 from cellsys.errors import MemoryBudgetError, NotSymbolicError, ParameterError
 from cellsys.population.flows import CellFlows, polarities, symbolic_cells
-from cellsys.population.headings import commands, rates, sensed
+from cellsys.population.graph import InteractionGraph
+from cellsys.population.headings import commands, rates, sensed, steering
+from cellsys.population.printed.printed_cells import PrintedCells
 from cellsys.population.printed.propagators import EmergentFlow, rest_offset
 from cellsys.store.memory import check_memory
 from cellsys.system import Block, Layout, OdeSystem, SymbolicForm
+
+if TYPE_CHECKING:
+    import casadi as ca
 
 SYMBOLIC_LIMIT = 1000  # K m
 
@@ -28,26 +33,26 @@ class Whole:
     `modal`: x is kept in the coordinates of the graph's modes, where the route has them.
     """
 
-    def __init__(self, cells: Any, *, modal: bool = False) -> None:
+    def __init__(self, cells: PrintedCells, *, modal: bool = False) -> None:
         self.cells, self.modal = cells, modal
         self.A, self.B, self.b = cells.matrices
         self.offset = rest_offset(cells)
         self.free = cells.route.startswith("matrix-free")
         if cells.modes is not None:
             self.parts = EmergentFlow(cells)
-        elif self.free:
-            self._prepare_free()
+        elif self.free and cells.graph is not None:
+            self._prepare_free(cells.graph)
         else:
             self.block = cells.blocks()[0]
 
-    def _prepare_free(self) -> None:
+    def _prepare_free(self, graph: InteractionGraph) -> None:
         cells = self.cells
-        w, P, m = sp.csr_array(cells.graph.weights), cells.rank.P, cells.order
+        w, P, m = sp.csr_array(graph.weights), cells.rank.P, cells.order
         self.w, self.P, self.extra, self.lu = w, P, cells.coupling.extra(m), None
         if not cells.coupling.inverted():
             return
         # I + w (x) P is nonsingular for sure when |w| |P| < 1 in some norm.
-        size = float(np.abs(w).sum(axis=1).max()) * float(np.clip(1 - cells.rank.gap, 0, 1).max())
+        size = float(abs(w).sum(axis=1).max()) * float(np.clip(1 - cells.rank.gap, 0, 1).max())
         if not size < 1:
             raise MemoryBudgetError(
                 f"{cells.coupling.name} on the matrix-free route needs I + w (x) P nonsingular, "
@@ -76,7 +81,7 @@ class Whole:
         if not self.cells.coupling.inverted():
             R = np.eye(len(self.P)) if self.extra is None else np.eye(len(self.P)) + self.extra
             return f + (self.w @ f) @ (R @ self.P).T
-        if self.extra is None:
+        if self.extra is None or self.lu is None:
             return f
         more = (self.w @ f) @ (self.extra @ self.P).T
         return f + self.lu.solve(more.ravel()).reshape(f.shape)
@@ -104,7 +109,7 @@ class Whole:
         """S_d z (K, 3) of each cell."""
         if self.modal and self.cells.modes is not None:
             return self.parts.sense(x)
-        return self.read(x) @ self.cells.loop.sensor.S_d.T
+        return self.read(x) @ steering(self.cells.loop).sensor.S_d.T
 
     def start(self, z: np.ndarray) -> np.ndarray:
         """x of isolated latent states z (K, m)."""
@@ -142,7 +147,7 @@ class CoupledSystem(OdeSystem):
         raw = self.whole.sense(x[: K * m].reshape(K, m))
         return {"p": x[K * m :].reshape(K, -1).copy(), "d": sensed(cells.loop, raw)}
 
-    def casadi(self) -> SymbolicForm:
+    def casadi(self) -> SymbolicForm[ca.MX]:
         """CasADi form of all cells.
 
         Raises
@@ -194,7 +199,9 @@ class SplitSystem(EmergentSystem):
         return CellFlows(cells, flow, cells.loop, (cells.n_cells, cells.order))
 
 
-def initial(cells: Any, z0: Any, p0: Any) -> tuple[np.ndarray, np.ndarray]:
+def initial(
+    cells: PrintedCells, z0: np.ndarray | None, p0: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Isolated latent start (K, m) and polarities (K, 3)."""
     K, m = cells.n_cells, cells.order
     if z0 is None:
@@ -217,7 +224,11 @@ def initial(cells: Any, z0: Any, p0: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def coupled_system(
-    cells: Any, z0: Any = None, p0: Any = None, *, emergent: bool = False
+    cells: PrintedCells,
+    z0: np.ndarray | None = None,
+    p0: np.ndarray | None = None,
+    *,
+    emergent: bool = False,
 ) -> CoupledSystem:
     """The whole as an `OdeSystem`; without a controller the commands are zero.
 
@@ -240,7 +251,10 @@ def coupled_system(
         heading = state[K * m :].reshape(K, 3)
         d = sensed(loop, whole.sense(x))
         return np.concatenate(
-            [whole.rate(x, commands(loop, heading)).ravel(), rates(loop, heading, d).ravel()]
+            [
+                whole.rate(x, commands(loop, heading)).ravel(),
+                rates(loop.controller, heading, d).ravel(),
+            ]
         )
 
     kind = CoupledSystem
@@ -251,7 +265,7 @@ def coupled_system(
     return system
 
 
-def rightmost_poles(cells: Any, count: int) -> np.ndarray:
+def rightmost_poles(cells: PrintedCells, count: int) -> np.ndarray:
     """Rightmost poles of x' = M x by implicitly restarted Arnoldi iterations (ARPACK)."""
     whole = Whole(cells)
     K, m = cells.n_cells, cells.order

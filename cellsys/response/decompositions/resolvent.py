@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,6 +22,9 @@ from cellsys.response.realization import EPS, Realization, balance
 _CHANNELS = 8
 _CHUNK = 500  # points at a time: measured best for n = 50..1000, rows of 16 kB
 _BYTES = 64_000_000  # of state columns held at a time
+# G (p, m, k), norms of the state columns (m, k) and of the rows (p, k); these (0, 0) unasked for
+Answer = tuple[np.ndarray, np.ndarray, np.ndarray]
+_UNASKED = np.zeros((0, 0))
 _SMALL, _FEW = 30, 20  # states and points: below, preparing costs more than solving
 
 
@@ -85,11 +87,11 @@ class Resolvent:
         """G at one point, (p, m)."""
         return self(np.array([s], dtype=complex))[:, :, 0]
 
-    def _evaluate(self, s: np.ndarray, accuracy: bool) -> tuple[np.ndarray, Any]:
+    def _evaluate(self, s: np.ndarray, accuracy: bool) -> tuple[np.ndarray, np.ndarray]:
         s = np.asarray(s, dtype=complex)
         p, m, n = self.system.n_outputs, self.system.n_inputs, self.system.n_states
         G = np.empty((p, m, len(s)), complex)
-        bound = np.empty((p, m, len(s))) if accuracy else None
+        bound = np.empty((p, m, len(s))) if accuracy else _UNASKED
         if min(p, m) == 0:
             return G, bound
         channels = max(p, m) if self._form is not None else 1
@@ -98,26 +100,26 @@ class Resolvent:
             part = slice(lo, lo + step)
             route = self._route(len(s))
             G[:, :, part], right, left = route(s[part], accuracy)
-            if bound is not None:
+            if accuracy:
                 with np.errstate(invalid="ignore", over="ignore"):
                     size = (self.norm + np.abs(s[part])) * left[:, None] * right[None]
                     size += self._rows_norm[:, None, None] * right[None]
                     size += left[:, None] * self._columns_norm[None, :, None]
                     bound[:, :, part] = self.backward * size / self._scale[:, :, None]
         D = self.system.D[:, :, None]
-        if bound is not None:
+        if accuracy:
             # A product inf * 0 (a pole nobody sees) says nothing: no bound.
             bound = np.where(np.isnan(bound), np.inf, bound)
             bound += EPS * (np.abs(D) + 4 * np.abs(G))
         with np.errstate(invalid="ignore"):
             return G + D, bound
 
-    def _route(self, points: int) -> Callable[[np.ndarray, bool], tuple[np.ndarray, Any, Any]]:
+    def _route(self, points: int) -> Callable[[np.ndarray, bool], Answer]:
         if self.system.is_sparse:
             return self._sparse
         return self._direct if self.system.n_states <= _SMALL and points <= _FEW else self._dense
 
-    def _direct(self, s: np.ndarray, accuracy: bool) -> tuple[np.ndarray, Any, Any]:
+    def _direct(self, s: np.ndarray, accuracy: bool) -> Answer:
         b = self._b
         M = s[:, None, None] * np.eye(len(b.A)) - b.A
         try:
@@ -128,13 +130,12 @@ class Resolvent:
             return self._dense(s, accuracy)
         G = np.moveaxis(b.C @ X, 0, -1) / self._scale[:, :, None]
         if not accuracy:
-            return G, None, None
+            return G, _UNASKED, _UNASKED
         return G, np.linalg.norm(X, axis=1).T, np.linalg.norm(Y, axis=1).T
 
-    def _dense(self, s: np.ndarray, accuracy: bool) -> tuple[np.ndarray, Any, Any]:
+    def _dense(self, s: np.ndarray, accuracy: bool) -> Answer:
         b, scale = self._b, self._scale[:, :, None]
-        right: np.ndarray | None = None
-        left: np.ndarray | None = None
+        right = left = _UNASKED
         if self._form is not None:
             G, right, left = triangular.response(self._form, s)
             return _divide(G, scale), right, left
@@ -161,7 +162,7 @@ class Resolvent:
                 G = np.stack([g for g, _ in parts], axis=0)
         return _divide(G, scale), right, left
 
-    def _sparse(self, s: np.ndarray, accuracy: bool) -> tuple[np.ndarray, Any, Any]:
+    def _sparse(self, s: np.ndarray, accuracy: bool) -> Answer:
         system = self.system
         n, p, m = system.n_states, system.n_outputs, system.n_inputs
         G = np.empty((p, m, len(s)), complex)
@@ -179,7 +180,8 @@ class Resolvent:
             G[:, :, i] = system.C @ X
             if accuracy:
                 right[:, i] = np.linalg.norm(X, axis=0)
-                left[:, i] = np.linalg.norm(lu.solve(system.C.T.astype(complex), trans="T"), axis=0)
+                solve: Callable[..., np.ndarray] = lu.solve  # scipy's stubs know no `trans`
+                left[:, i] = np.linalg.norm(solve(system.C.T.astype(complex), trans="T"), axis=0)
         return G, right, left
 
 
