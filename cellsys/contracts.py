@@ -321,7 +321,9 @@ class MatrixKind(Protocol[_Scene, _Cell]):
     with a membrane on a flat network but `network`. What is refused raises SceneError.
     """
 
-    kind: str  # what a scene file calls it, in matrix.kind
+    @property
+    def kind(self) -> str:
+        """What a scene file calls it, in matrix.kind."""
 
     @property
     def title(self) -> str:

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import LinearModel, Reductor
+from cellsys.contracts import Cells, Integrator, LinearModel, Reductor
 from cellsys.errors import DataError, ParameterError
 from cellsys.integrate import DOP853, Exponential, LinearlyImplicit, simulate
 from cellsys.integrate.record import check_times
 from cellsys.kinds import Count, Seed
+from cellsys.mechanics.effects.protocol import Effect
 from cellsys.population import (
     Feedback,
     InteractionGraph,
@@ -68,11 +69,11 @@ class CostAxis(Shown):
 
     def head(self) -> list[str]:
         """Column names."""
-        return ["setting", f"{self.time}, s", *self._columns()]
+        return ["setting", f"{self.time}, s", *self._names()]
 
     def table(self) -> list[list[str]]:
         """Rows of text; baselines last, with the error alone."""
-        names = self._columns()
+        names = self._names()
         rows = [
             [r.setting, _text(r.seconds), *(_text(r.errors.get(n)) for n in names)]
             for r in self.rows
@@ -82,11 +83,11 @@ class CostAxis(Shown):
 
     def cheapest(self, error: float, of: str | None = None) -> CostRow | None:
         """The fastest row whose error (`of`, default the first column) is met; None if none."""
-        of = self._columns()[0] if of is None else of
+        of = self._names()[0] if of is None else of
         good = [r for r in self.rows if r.errors.get(of, np.inf) <= error]
         return min(good, key=lambda r: r.seconds, default=None)
 
-    def _columns(self) -> list[str]:
+    def _names(self) -> list[str]:
         return list(dict.fromkeys(name for r in self.rows for name in r.errors))
 
     def __str__(self) -> str:
@@ -190,10 +191,10 @@ def kinetics_cost(
         raise DataError(f"t must hold at least two samples, got {len(t)}")
     for kind in kinetics:
         effects = dict(scene.effects)
-        effects["focal_adhesion"] = dataclasses.replace(effects["focal_adhesion"], kinetics=kind)
+        effects["focal_adhesion"] = _with_kinetics(effects["focal_adhesion"], kind)
         base = dataclasses.replace(scene, effects=effects)
-        first, *others = base.cells
-        place = (first.position[0] + SHIFT, *first.position[1:])
+        first, *others = base.membranes
+        place = (first.position[0] + SHIFT, first.position[1])
         beside = dataclasses.replace(
             base, cells=(dataclasses.replace(first, position=place), *others)
         )
@@ -261,14 +262,14 @@ def coupling_cost(
         exact = Exponential(rtol=tolerance, atol=tolerance)
 
         ways: dict[str, Callable[[], np.ndarray]] = {
-            "exact": lambda cells=cells, exact=exact: cells.simulate(t, exact).x,
-            "modal": lambda cells=cells, method=method: cells.simulate(t, method).x,
+            "exact": _run_of(cells, t, exact),
+            "modal": _run_of(cells, t, method),
         }
         if K > 1 and K * cells.order <= dense_up_to:
             weights = np.ones((K, K)) - np.eye(K)
             weights[0, 1] += NUDGE
             dense = couple(model, graph=InteractionGraph(weights), coupling=form, headings=headings)
-            ways["dense"] = lambda dense=dense, method=method: dense.simulate(t, method).x
+            ways["dense"] = _run_of(dense, t, method)
         for name, way in ways.items():
             began = time.perf_counter()
             x = way()
@@ -276,3 +277,13 @@ def coupling_cost(
             error = float(np.abs(x - truth).max() / np.abs(truth).max())
             rows.append(CostRow(f"K = {K}, {name}", seconds, {"error": error}))
     return CostAxis(f"coupling: {form.name}, m = {model.order}", tuple(rows))
+
+
+def _run_of(cells: Cells, t: np.ndarray, method: Integrator) -> Callable[[], np.ndarray]:
+    return lambda: cells.simulate(t, method).x
+
+
+def _with_kinetics(adhesion: Effect, kind: str) -> Effect:
+    made: Callable[..., Effect] = type(adhesion)
+    fields = {f.name: getattr(adhesion, f.name) for f in dataclasses.fields(adhesion)}
+    return made(**{**fields, "kinetics": kind})

@@ -63,7 +63,7 @@ class Budget(Shown):
 
     error: float
     measure: str
-    integrator: Integrator | None
+    integrator: Integrator | str | None
     seconds: float
     training: float
     held_out: float

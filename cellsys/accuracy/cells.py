@@ -5,15 +5,15 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from cellsys.accuracy.axes import CostAxis, CostRow
 from cellsys.arguments import checked
 from cellsys.cell import CellsOnField, EquivariantModel
-from cellsys.contracts import MatrixField
+from cellsys.contracts import SteppedField
 from cellsys.errors import ParameterError
+from cellsys.mechanics.commands import History
 from cellsys.scene import Scene
 from cellsys.trajectory import Trajectory
 
@@ -37,14 +37,14 @@ def step_commands(scene: Scene, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ParameterError
         A cell that its polarity law steers.
     """
-    each = [cell.commands or scene.commands for cell in scene.cells]
+    each = [cell.commands or scene.commands for cell in scene.membranes]
     if any(c.heading is None for c in each):
         raise ParameterError(
             f"a cell of scene {scene.name!r} has no commanded heading; give it one, so that "
             "full-order and reduced cells are asked for the same"
         )
 
-    def mean(history: Any) -> np.ndarray:
+    def mean(history: History | None) -> np.ndarray:
         if history is None:  # amplitude: as it is
             return np.ones(len(t) - 1)
         inner = [np.linspace(a, b, 5) for a, b in itertools.pairwise(t)]
@@ -59,7 +59,7 @@ def step_commands(scene: Scene, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @checked
 def cells_cost(
     models: Sequence[EquivariantModel],
-    field: MatrixField,
+    field: SteppedField,
     scene: Scene,
     truth: Trajectory,
     full_order: Mapping[str, Trajectory] | None = None,
@@ -101,7 +101,7 @@ def cells_cost(
         every = truth.stride(model.dt)
         t = truth.t[::every]
         amplitude, heading = step_commands(scene, t)
-        places = np.array([c.position for c in scene.cells])
+        places = np.array([c.position for c in scene.membranes])
         cells, seconds = CellsOnField(model=model, field=field), np.inf
         for _ in range(repeats):
             began = time.perf_counter()
@@ -112,7 +112,7 @@ def cells_cost(
         body = np.stack([truth.block(n)[::every] for n in names], axis=1)
         errors = {
             "cells": _missed(nodes, body[0], body),
-            "matrix": _missed(u, 0.0, truth.block(matrix)[::every]),
+            "matrix": _missed(u, np.zeros(3), truth.block(matrix)[::every]),
         }
         rows.append(CostRow(f"{model.order} latent variables", seconds, errors))
     for name, run in (full_order or {}).items():
@@ -122,12 +122,12 @@ def cells_cost(
         body, other = (np.stack([r.block(n) for n in names], axis=1) for r in (truth, run))
         errors = {
             "cells": _missed(other, body[0], body),
-            "matrix": _missed(run.block(matrix), 0.0, truth.block(matrix)),
+            "matrix": _missed(run.block(matrix), np.zeros(3), truth.block(matrix)),
         }
         rows.append(CostRow(name, float(run.statistics["wall_time"]), errors))
     span = truth.t[-1] - truth.t[0]
     return CostAxis(f"{K} cells, {span:g} s", tuple(rows))
 
 
-def _missed(found: np.ndarray, rest: Any, truth: np.ndarray) -> float:
+def _missed(found: np.ndarray, rest: np.ndarray, truth: np.ndarray) -> float:
     return float(np.linalg.norm(found - truth) / np.linalg.norm(truth - rest))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -58,7 +58,7 @@ def input_output_response(tolerances: Sequence[float], rhs: Rhs | None = None) -
 
         law = problem.system.rhs if rhs is None else rhs
 
-        def update(t: float, x: np.ndarray, u: np.ndarray, params: Any) -> np.ndarray:
+        def update(t: float, x: np.ndarray, u: np.ndarray, params: object) -> np.ndarray:
             return law(t, x)
 
         n = problem.system.states.size

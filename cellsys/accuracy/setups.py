@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
 from cellsys.arguments import checked
+from cellsys.contracts import Integrator
 from cellsys.errors import ParameterError
 from cellsys.integrate import simulate
 from cellsys.kinds import Seed
@@ -69,7 +70,7 @@ class Setup:
     settings: Sequence[float] = field(default=())
     unit: str = "tolerance"
     own: bool = False
-    make: Callable[[float], Any] | None = None
+    make: Callable[[float], Integrator] | None = None
 
     def __post_init__(self) -> None:
         if not len(self.settings):
@@ -102,7 +103,7 @@ def by_step(
 
 
 def _setup(
-    method: type, settings: Sequence[float], unit: str, make: Callable[[float], Any]
+    method: type, settings: Sequence[float], unit: str, make: Callable[[float], Integrator]
 ) -> Setup:
     def solve(problem: CostProblem, setting: float) -> np.ndarray:
         return np.asarray(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 
 from cellsys.accuracy.setups import CostProblem, Setup, by_step, by_tolerance
 from cellsys.arguments import checked
+from cellsys.contracts import Integrator
 from cellsys.errors import ParameterError
 from cellsys.integrate import (
     DOP853,
@@ -21,6 +21,7 @@ from cellsys.integrate import (
 )
 from cellsys.kinds import Count, Seed
 from cellsys.loop import ClosedLoop
+from cellsys.overdamped import OverdampedSystem
 from cellsys.scene import Scene, build
 
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
@@ -89,10 +90,10 @@ def scene_problems(
 def full_order_setups(problem: CostProblem) -> list[Setup]:
     """Every method for a full-order system but the references, loosest first."""
     if problem.system.events():
-        tolerances = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
-        return [by_tolerance(m, tolerances) for m in (LSODA, DOP853, Radau)]
+        tight = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+        return [by_tolerance(m, tight) for m in (LSODA, DOP853, Radau)]
     out = [by_step(LinearlyImplicit, STEPS)]
-    if not getattr(problem.system, "discrete", False):
+    if not problem.system.discrete:
         tolerances = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
         out.append(by_tolerance(RKC, tolerances, {"max_steps": MOST}))
     return out
@@ -110,8 +111,13 @@ def full_order_references(problem: CostProblem, error: float) -> tuple[Setup, Se
     """
     if problem.system.events():
         return by_tolerance(LSODA, [1e-11]), by_tolerance(DOP853, [1e-11])
+    if not isinstance(problem.system, OverdampedSystem):
+        raise ParameterError(
+            "the references of a full-order run are for nodes with drag, got a "
+            f"{type(problem.system).__name__}"
+        )
     limit = 0.9 * stability_limit(problem.system)
-    if getattr(problem.system, "discrete", False):
+    if problem.system.discrete:
         return by_step(ExplicitEuler, [limit]), by_step(LinearlyImplicit, [0.5 * STEPS[-1]])
     if error < EULER:
         tight = by_tolerance(RKC, [1e-8], {"max_steps": 10 * MOST})
@@ -121,7 +127,7 @@ def full_order_references(problem: CostProblem, error: float) -> tuple[Setup, Se
     return euler, by_tolerance(RKC, [tolerance], {"max_steps": 10 * MOST})
 
 
-def uncapped(integrator: Any) -> Any:
+def uncapped(integrator: Integrator) -> Integrator:
     """The integrator without the cap on steps that only keeps a search short."""
     if isinstance(integrator, RKC):
         return dataclasses.replace(integrator, max_steps=RKC.max_steps)

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -67,7 +67,7 @@ class WorkPrecision(Drawable):
     points: tuple[WorkPoint, ...]
     references: tuple[str, str]
     agreement: float
-    footer: dict[str, Any] = field(default_factory=dict)
+    footer: dict[str, object] = field(default_factory=dict)
 
     _figure: ClassVar[str] = "work_precision"
 
@@ -236,7 +236,7 @@ def _point(
     )
 
 
-def footer(seed: int) -> dict[str, Any]:
+def footer(seed: int) -> dict[str, object]:
     """Machine, versions and seed."""
     return {
         "machine": f"{platform.machine()} {platform.system()}, {os.cpu_count()} cores",

@@ -15,13 +15,15 @@ from cellsys.cli.output import say, show
 from cellsys.printable import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+
+    from rich.progress import TaskID
 
 
 class CommandGroup(typer.core.TyperGroup):
     """A signal to end, in any command, is one line and the exit code of the signal."""
 
-    def invoke(self, ctx: Any) -> Any:
+    def invoke(self, ctx: Any) -> object:
         """Run the command; see the class."""
         try:
             return super().invoke(ctx)
@@ -53,7 +55,7 @@ def say_error(error: Exception, code: int) -> int:
 
 
 @contextmanager
-def progress_bars(quiet: bool) -> Iterator[Any]:
+def progress_bars(quiet: bool) -> Iterator[Callable[[str, float], None]]:
     """A callback (stage, share) that draws rich bars on a terminal and is silent elsewhere."""
     if quiet or not sys.stderr.isatty():
         yield lambda stage, share: None
@@ -64,7 +66,7 @@ def progress_bars(quiet: bool) -> Iterator[Any]:
     name = TextColumn("{task.description:16s}", markup=False)
     columns = (name, BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True)) as bars:
-        tasks: dict[str, Any] = {}
+        tasks: dict[str, TaskID] = {}
 
         def progress(stage: str, share: float) -> None:
             if stage not in tasks:
@@ -91,7 +93,7 @@ def print_table(title: str, head: list[str], rows: list[list[str]]) -> None:
     Console().print(table)
 
 
-def dump(value: Any) -> None:
+def dump(value: object) -> None:
     """JSON on standard output; NaN and inf as strings."""
     from cellsys.study.files import plain
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,9 +12,11 @@ from cellsys.cli.models import load_model, verdict_line
 from cellsys.cli.output import show
 
 if TYPE_CHECKING:
-    from cellsys.contracts import Cells
     from cellsys.model.affine import AffineModel
+    from cellsys.population import CoupledCells
+    from cellsys.population.poleset import PoleSet
     from cellsys.population.request import Coupling
+    from cellsys.population.verdict import CoupledStability
 
 _FORMS = ("superposition", "mapped", "feedback")
 
@@ -46,7 +48,7 @@ def couple(
 
 def _couple(
     model: AffineModel, n_cells: int, form: str, map_file: str | None, rank_tol: float | None
-) -> Cells:
+) -> CoupledCells:
     import numpy as np
 
     from cellsys import population
@@ -72,10 +74,13 @@ def _couple(
         coupling = population.Feedback(rank_tol=rank_tol)
     else:
         coupling = population.Superposition(rank_tol=rank_tol)
-    return population.couple(model, n_cells, coupling)
+    together = population.couple(model, n_cells, coupling)
+    if not isinstance(together, population.CoupledCells):
+        raise ParameterError(f"--form {form} is not for a {type(model).__name__}")
+    return together
 
 
-def _rows(poles: Any) -> list[dict[str, Any]]:
+def _rows(poles: PoleSet) -> list[dict[str, object]]:
     spread = [None] * len(poles.values) if poles.spread is None else poles.spread.tolist()
     return [
         {"pole": [v.real, v.imag], "multiplicity": int(n), "spread": s}
@@ -83,7 +88,7 @@ def _rows(poles: Any) -> list[dict[str, Any]]:
     ]
 
 
-def _table(cells: Any, report: Any, poles: Any) -> dict[str, Any]:
+def _table(cells: CoupledCells, report: CoupledStability, poles: PoleSet) -> dict[str, object]:
     other = poles.alternative
     return {
         "cells": cells.n_cells,

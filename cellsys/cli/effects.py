@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -88,7 +89,7 @@ def _measure(scene: Path, duration: float | None, as_json: bool, quiet: bool) ->
         show(f"  {worth}")
 
 
-def _table(title: str, rows: list[dict[str, Any]]) -> None:
+def _table(title: str, rows: Sequence[Mapping[str, object]]) -> None:
     from rich.markup import escape
 
     head = list(rows[0])

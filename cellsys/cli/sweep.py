@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -47,7 +47,7 @@ def sweep(
             workers=jobs,
             progress=lambda done, all_: progress("runs", done / all_),
         )
-    rows: list[dict[str, Any]] = []
+    rows: list[dict[str, str | float]] = []
     for (values, variant), run in zip(chosen, runs, strict=True):
         where = f"runs/{variant.fingerprint()[:20]}"
         rows.append({**values, **read_outs(run), "run": where})
@@ -71,7 +71,7 @@ def _shown(value: str | float, error: float) -> str:
     return f"{value:.4g}" if value > error else f"below {error:.2g}"
 
 
-def _csv(rows: list[dict[str, Any]]) -> str:
+def _csv(rows: list[dict[str, str | float]]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()

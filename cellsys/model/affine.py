@@ -120,6 +120,11 @@ class AffineModel(Drawable, ABC):
     def save(self, path: str | Path) -> Path:
         """Write the model to a file, atomically; returns its path."""
 
+    @classmethod
+    @abstractmethod
+    def read(cls, path: str | Path) -> AffineModel:
+        """Read back what `save` wrote; FileFormatError for a model of another kind."""
+
     # Control
 
     def plant(

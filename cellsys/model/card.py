@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -68,7 +67,7 @@ class Card(Shown):
     held_out: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     input_share_explained: float | None = None
     verdict: str = ""
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, object] = field(default_factory=dict)
     floors: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     growth: tuple[float, float] | None = None
@@ -83,7 +82,7 @@ class Card(Shown):
                         f"{', '.join(map(shown, row)) or 'nothing'}"
                     )
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> dict[str, object]:
         """Plain values for JSON."""
         growth = None if self.growth is None else [float(np.clip(v, *_SPAN)) for v in self.growth]
         lists = {"runs": list(self.runs), "warnings": list(self.warnings), "growth": growth}
@@ -132,7 +131,7 @@ def card_of(model: ReducedModel) -> Card:
 _SPAN = (-float(np.finfo(float).max), float(np.finfo(float).max))
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{k} {_shown(v)}" for k, v in value.items())
     if isinstance(value, (list, tuple)):

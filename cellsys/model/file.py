@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from cellsys.errors import FileFormatError
+from cellsys.model.affine import AffineModel
 from cellsys.model.card import Card
 from cellsys.store.archive import archive_kind, load_archive, save_archive
 from cellsys.system import Block, Layout
@@ -26,7 +27,7 @@ KINDS = {
 }
 
 
-def kind_of_file(path: str | Path) -> Any:
+def kind_of_file(path: str | Path) -> type[AffineModel]:
     """The class that reads a model file; errors as of `load_model`."""
     module, name = KINDS.get(archive_kind(path), KINDS[_KIND])
     return getattr(importlib.import_module(module), name)

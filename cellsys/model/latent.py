@@ -116,7 +116,7 @@ class LatentModel(AffineModel):
     _figure: ClassVar[str] = "latent_model"
 
     def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
+        def put(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
         for name in ARRAYS:

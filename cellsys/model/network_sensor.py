@@ -196,9 +196,9 @@ class LocalSensor(StiffnessSensor):
         }
 
 
-def sensor_from(arrays: Mapping[str, Any]) -> StiffnessSensor:
+def sensor_from(arrays: Mapping[str, np.ndarray]) -> StiffnessSensor:
     """The sensor whose `arrays` these are."""
-    known = dict(arrays)
+    known: dict[str, Any] = dict(arrays)
     if "K_s" not in known:
         return StiffnessSensor(**known)
     parts = [known.pop(k) for k in ("nodes", "stiffness", "reach")]

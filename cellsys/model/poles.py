@@ -80,6 +80,10 @@ class KnowsCertainty(Protocol):
         """How far each pole moves when a part of the data is left out; None where not known."""
 
 
-def fastest_growth(found: RootSet) -> tuple[float, float]:
-    """Rate, 1/s, and bound of the pole that most certainly grows; see `LatentModel`."""
-    return fastest(found.real, found.error_bound)
+def fastest_growth(found: np.ndarray) -> tuple[float, float]:
+    """Rate, 1/s, and bound of the pole that most certainly grows; see `LatentModel`.
+
+    Poles that a model of one's own gives as a plain array are taken as they are.
+    """
+    bound = found.error_bound if isinstance(found, RootSet) else np.zeros(found.shape)
+    return fastest(np.asarray(found.real), bound)

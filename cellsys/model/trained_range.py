@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from cellsys.arguments import checked
+from cellsys.contracts import ReducedModel
 from cellsys.errors import DataError, DimensionError
 from cellsys.shown import Shown
 
@@ -76,7 +76,7 @@ class TrainedRange:
         )
 
     @classmethod
-    def kept(cls, model: Any) -> TrainedRange:
+    def kept(cls, model: ReducedModel) -> TrainedRange:
         """The range that `reduce` kept with a model.
 
         Raises
@@ -95,7 +95,7 @@ class TrainedRange:
                 "the model holds no trained range; cs.reduce keeps one with every model it makes"
             ) from error
 
-    def note(self) -> Mapping[str, Any]:
+    def note(self) -> Mapping[str, Mapping[str, object]]:
         """Plain values, to be kept in the notes of a model."""
         return {
             _NOTE: {

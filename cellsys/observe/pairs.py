@@ -301,6 +301,11 @@ def alone_scenes(scene: Scene) -> list[Scene]:
     if len(scene.cells) < 2:
         raise ParameterError("a one-cell control needs a scene of at least two cells")
     return [
-        replace(scene, cells=(cell,), name=f"{scene.name}, cell {k} alone", until=None)
-        for k, cell in enumerate(scene.cells, start=1)
+        replace(
+            scene,
+            cells=scene.cells[k : k + 1],
+            name=f"{scene.name}, cell {k + 1} alone",
+            until=None,
+        )
+        for k in range(len(scene.cells))
     ]

@@ -74,7 +74,7 @@ class ChainScene(Chain):
 
     def build(self, scene: ScenePlan) -> CrawlerSystem:
         """The crawlers on the chain."""
-        return build_crawlers(scene.cells, self)
+        return build_crawlers(scene.crawlers, self)
 
     def place_cells(self, scene: ScenePlan) -> None:
         """Refuse what is no crawler, nodes outside the chain, and attachments that cross."""
@@ -84,7 +84,7 @@ class ChainScene(Chain):
                     f"cells[{index}] must be a Crawler with matrix.kind = 'chain', got "
                     f"{type(cell).__name__}"
                 )
-        check_places(scene.cells, self)
+        check_places(scene.crawlers, self)
 
     def start_elsewhere(self, scene: ScenePlan, rng: np.random.Generator) -> tuple[Crawler, ...]:
         """Every crawler with drawn velocities, up to `KICK` beside its own."""
@@ -94,7 +94,7 @@ class ChainScene(Chain):
                 lead_velocity=c.lead_velocity + float(rng.uniform(-KICK, KICK)),
                 trail_velocity=c.trail_velocity + float(rng.uniform(-KICK, KICK)),
             )
-            for c in scene.cells
+            for c in scene.crawlers
         )
 
     def train(self, scene: S) -> tuple[list[S], list[S]]:
@@ -109,7 +109,7 @@ class ChainScene(Chain):
         self.refuse(scene, "train")
         return []
 
-    def draw(self, run: Trajectory, ax: Any = None, *, k: int = -1) -> Any:
+    def draw(self, run: Trajectory, ax: object = None, *, k: int = -1) -> object:
         """Displacement of every node against time, up to sample k."""
         error = run.error_of("chain.displacement")
         shown = slice(None) if k in (-1, len(run) - 1) else slice(k + 1)
@@ -167,10 +167,11 @@ def _fields(model: type, units: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
+_KIND: Any = (Literal["chain"], "chain")
 _ChainTable = create_model(
     "ChainTable",
     __base__=TomlTable,
-    kind=(Literal["chain"], "chain"),
+    kind=_KIND,
     nodes=(Annotated[Count, Field(lt=2**53)], Chain().nodes),
     **_fields(Chain, _CHAIN),
 )
@@ -193,7 +194,7 @@ class ChainSceneTable(TomlTable):
     sample: Sample = 0.1
     matrix: _ChainTable  # type: ignore[valid-type]
     cells: list[_CrawlerTable]  # type: ignore[valid-type]
-    effects: dict[str, Any] = Field(default_factory=dict)
+    effects: dict[str, object] = Field(default_factory=dict)
 
 
 def chain_parts(parsed: Any) -> tuple[ChainScene, tuple[Crawler, ...]]:

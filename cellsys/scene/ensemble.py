@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from cellsys.errors import (
 from cellsys.integrate.record import first_samples, record_shapes, trajectory_of
 from cellsys.integrate.simulate import simulate
 from cellsys.mechanics.contact import touching, until_contact
-from cellsys.scene.build import build
+from cellsys.scene.build import build, spreading
 from cellsys.scene.executors import executor_of, gather
 from cellsys.scene.load import scene_from_plain
 from cellsys.scene.memory import check_mapping, check_scene_memory, memory_need
@@ -99,7 +98,7 @@ def _simulated(
             sink=sink,
             progress=told,
             label=scene.name,
-            until=touching(system) if scene.until == "contact" else None,
+            until=touching(spreading(system)) if scene.until == "contact" else None,
         )
 
 
@@ -176,7 +175,7 @@ def _read(
     return _trajectory(RunReader(target), system, scene)
 
 
-def _numbers(statistics: Mapping[str, Any]) -> dict[str, Any]:
+def _numbers(statistics: Mapping[str, object]) -> dict[str, object]:
     """Without what JSON has no number for: the shortest interval of a run with one switch."""
     return {k: v for k, v in statistics.items() if not isinstance(v, float) or np.isfinite(v)}
 
@@ -253,7 +252,7 @@ def run_ensemble(
     folder: str | Path,
     *,
     workers: int = 2,
-    executor: Any = None,
+    executor: object = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Trajectory]:
     """Run many scenes in several processes; the same numbers whatever their number.
@@ -292,27 +291,30 @@ def run_ensemble(
     missing = [(s, targets[key]) for key, s in pending.items() if targets[key] not in whole]
     done = len(pending) - len(missing)
 
-    def told(steps: Iterable[object]) -> None:
+    def one_more() -> None:
         nonlocal done
-        for _ in steps:
-            done += 1
-            if progress is not None:
-                progress(done, len(pending))
+        done += 1
+        if progress is not None:
+            progress(done, len(pending))
 
     if progress is not None:
         progress(done, len(pending))
     check_mapping(pending.values())
     if pool is not None:
         task = _run_in_child if isinstance(pool, ProcessPoolExecutor) else _run_into
-        told(gather(pool.submit, [(task, s, str(target)) for s, target in missing], folder))
+        for _ in gather(pool.submit, [(task, s, str(target)) for s, target in missing], folder):
+            one_more()
     elif workers <= 1 or len(missing) <= 1:
-        told(_make(scene, target) for scene, target in missing)
+        for scene, target in missing:
+            _make(scene, target)
+            one_more()
     else:
         count = min(workers, len(missing))
         largest = max((s for s, _ in missing), key=lambda s: memory_need(s).resident)
         check_scene_memory(largest, count)
         with Workers(count) as crew:
-            told(crew.run(_run_into, [(s, str(target)) for s, target in missing]))
+            for _ in crew.run(_run_into, [(s, str(target)) for s, target in missing]):
+                one_more()
     runs = {key: _read(s, targets[key]) for key, s in pending.items()}
     _tell_foreign(targets.values())
     return [runs[s.fingerprint()] for s in scenes]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Any
+from typing import Protocol, runtime_checkable
 
 from cellsys.errors import ExecutorError, MemoryBudgetError, ParameterError
 
@@ -21,7 +21,15 @@ _OF_DASK = (
 )
 
 
-def executor_of(given: Any) -> Executor:
+@runtime_checkable
+class GivesExecutor(Protocol):
+    """A client of a cluster, such as dask.distributed.Client."""
+
+    def get_executor(self) -> object:
+        """A concurrent.futures.Executor of the cluster."""
+
+
+def executor_of(given: object) -> Executor:
     """The executor, or that of a dask client, which gives ordinary futures.
 
     Raises
@@ -29,7 +37,7 @@ def executor_of(given: Any) -> Executor:
     ParameterError
         Something that takes no work.
     """
-    if hasattr(given, "get_executor"):
+    if isinstance(given, GivesExecutor):
         given = given.get_executor()
     if not isinstance(given, Executor):
         raise ParameterError(

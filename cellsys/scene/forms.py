@@ -80,7 +80,7 @@ def _add(out: dict[str, Form], cls: object, label: str) -> None:
     kind = check_matrix(cls, label)
     if kind in out:
         raise ParameterError(f"there is a matrix kind {kind!r} already; give yours another name")
-    out[kind] = _own(cls)
+    out[kind] = _own(cls, kind)
 
 
 def check_matrix(cls: object, label: str) -> str:
@@ -98,16 +98,15 @@ def check_matrix(cls: object, label: str) -> str:
 
 
 @lru_cache(maxsize=64)
-def _own(cls: type) -> Form:
+def _own(cls: type, kind: str) -> Form:
     """Form of a matrix of one's own: its parameters with units, under cells with a membrane."""
     parameters = parameter_table(cls)
     name = cls.__name__
-    matrix = create_model(
-        f"{name}MatrixTable", __base__=parameters, kind=(Literal[cls.kind], cls.kind)
-    )
+    fields: dict[str, Any] = {"kind": (Literal.__getitem__(kind), kind)}
+    matrix = create_model(f"{name}MatrixTable", __base__=parameters, **fields)
     table = create_model(f"{name}SceneTable", __base__=DiscSceneTable, matrix=(matrix, ...))
 
-    def made(values: Any) -> Kind:
+    def made(values: BaseModel) -> Kind:
         given = {k: getattr(values, k) for k in parameters.model_fields}
         return cls(**{k: v for k, v in given.items() if v is not None})
 
@@ -205,8 +204,8 @@ def _effects(table: BaseModel, registry: Registry) -> dict[str, Effect]:
     return effects
 
 
-def _effect(kind: type[Effect], given: Mapping[str, Any]) -> Effect:
-    values = {}
+def _effect(kind: type[Effect], given: Mapping[str, object]) -> Effect:
+    values: dict[str, object] = {}
     for key, value in given.items():
         if isinstance(value, BaseModel):
             values[key] = _as_history(value)

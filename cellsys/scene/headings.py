@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
@@ -68,11 +69,10 @@ def turning(
         rng = np.random.default_rng(root)
         cells = []
         for cell in scene.membranes:
-            commands = _turning(scene.training.duration, rng)
-            angle = commands.heading.values[0]
-            place = tuple(float(x) for x in cell.position + rng.uniform(-scatter, scatter, 2))
+            angle, commands = _turning(scene.training.duration, rng)
+            x, y = (float(v) for v in cell.position + rng.uniform(-scatter, scatter, 2))
             cells.append(
-                dataclasses.replace(cell, position=place, polarity=angle, commands=commands)
+                dataclasses.replace(cell, position=(x, y), polarity=angle, commands=commands)
             )
         name = f"{scene.name}: {label} {k + 1}{' loaded' if loaded else ''}"
         drawn = commanded(scene, Commands(), None, name)
@@ -102,7 +102,8 @@ def commanded(scene: S, commands: Commands, angle: float | None, name: str) -> S
     )
 
 
-def _turning(duration: float, rng: np.random.Generator) -> Commands:
+def _turning(duration: float, rng: np.random.Generator) -> tuple[float, Commands]:
+    """Heading at the start, rad, and the commands."""
     start = rng.uniform(*HOLD)
     changes = [start]
     while changes[-1] < duration:
@@ -111,7 +112,8 @@ def _turning(duration: float, rng: np.random.Generator) -> Commands:
     for _ in changes[:-1]:
         heading.append(heading[-1] + rng.uniform(-TURN, TURN))
         amplitude.append(rng.uniform(*AMPLITUDE))
-    return Commands(_steps(changes[:-1], heading), _steps(changes[:-1], amplitude))
+    drawn = Commands(_steps(changes[:-1], heading), _steps(changes[:-1], amplitude))
+    return heading[0], drawn
 
 
 def _steps(changes: list[float], values: list[float]) -> History:
@@ -124,8 +126,9 @@ def _steps(changes: list[float], values: list[float]) -> History:
 
 
 def _loads(scene: ScenePlan, reach: float, rng: np.random.Generator) -> Effect:
-    kind, within = EFFECTS["external_load"], 0.65 * reach
-    patches = []
+    kind: Callable[..., Effect] = EFFECTS["external_load"]
+    within = 0.65 * reach
+    patches: list[dict[str, object]] = []
     for _ in range(PATCHES):
         radius, angle = within * np.sqrt(rng.uniform()), rng.uniform(0.0, 2.0 * np.pi)
         period, phase = rng.uniform(*PERIOD), rng.uniform(0.0, 2.0 * np.pi)
@@ -133,7 +136,7 @@ def _loads(scene: ScenePlan, reach: float, rng: np.random.Generator) -> Effect:
         times = np.arange(0.0, scene.training.duration + period / 12, period / 12)
         wave = np.sin(2.0 * np.pi * times / period + phase) * np.minimum(1.0, times / 100.0)
         patches.append(
-            kind(
+            dict(
                 force=rng.uniform(*LOAD),
                 direction=rng.uniform(0.0, 2.0 * np.pi),
                 x=radius * np.cos(angle),
@@ -141,4 +144,5 @@ def _loads(scene: ScenePlan, reach: float, rng: np.random.Generator) -> Effect:
                 history=History(tuple(times), tuple(wave)),
             )
         )
-    return dataclasses.replace(patches[0], patches=tuple(patches[1:]))
+    first, *more = patches
+    return kind(**first, patches=tuple(kind(**further) for further in more))

@@ -12,7 +12,6 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 from cellsys.arguments import checked
 from cellsys.errors import FileFormatError, SceneError
@@ -54,7 +53,7 @@ def find_scene(path: str | Path) -> Path:
     raise FileNotFoundError(f"no scene file {str(source)!r} and no preset of that name; {hint}")
 
 
-def read_table(source: Path) -> dict[str, Any]:
+def read_table(source: Path) -> dict[str, object]:
     """The TOML table in a file; SceneError when it cannot be read."""
     try:
         with open_regular(source, _MOST_BYTES) as file:
@@ -70,7 +69,7 @@ def read_table(source: Path) -> dict[str, Any]:
         raise SceneError(f"{source.name}: cannot be read: {error}") from error
 
 
-def parse_toml(text: str) -> dict[str, Any]:
+def parse_toml(text: str) -> dict[str, object]:
     """A TOML text as a table; SceneError where it is none, or too deep, or holds a huge number."""
     if found := _LONG_KEY.search(text):
         # The parser takes a time that grows with the square of the parts of a key.
@@ -84,7 +83,7 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise SceneError(f"a number that cannot be read: {error}") from error
     except RecursionError as error:
         raise SceneError("nested too deeply") from error
-    level: list[Any] = [table]
+    level: list[object] = [table]
     for _ in range(MOST_PARTS + 1):
         level = [entry for value in level for entry in _entries(value)]
     if level:
@@ -92,14 +91,14 @@ def parse_toml(text: str) -> dict[str, Any]:
     return table
 
 
-def _entries(value: Any) -> Iterable[Any]:
+def _entries(value: object) -> Iterable[object]:
     """What a table or a list holds."""
     if isinstance(value, dict):
         return value.values()
     return value if isinstance(value, list) else ()
 
 
-def inherited(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def inherited(table: Mapping[str, object], folder: Path) -> dict[str, object]:
     """The table merged into what it extends, without the effects that were set to false.
 
     Raises
@@ -108,12 +107,13 @@ def inherited(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         When ``extends`` is not a name, does not exist, or leads back to itself.
     """
     merged = _merged(table, folder, ())
-    if isinstance(merged.get("effects"), Mapping):
-        merged["effects"] = {k: v for k, v in merged["effects"].items() if v is not False}
+    effects = merged.get("effects")
+    if isinstance(effects, Mapping):
+        merged["effects"] = {k: v for k, v in effects.items() if v is not False}
     return merged
 
 
-def _merged(table: Mapping[str, Any], folder: Path, seen: tuple[Path, ...]) -> dict[str, Any]:
+def _merged(table: Mapping[str, object], folder: Path, seen: tuple[Path, ...]) -> dict[str, object]:
     own = {key: value for key, value in table.items() if key != "extends"}
     base = table.get("extends")
     if base is None:
@@ -137,11 +137,12 @@ def _merged(table: Mapping[str, Any], folder: Path, seen: tuple[Path, ...]) -> d
     return _joined(older, own)
 
 
-def _joined(older: Mapping[str, Any], newer: Mapping[str, Any]) -> dict[str, Any]:
+def _joined(older: Mapping[str, object], newer: Mapping[str, object]) -> dict[str, object]:
     out = dict(older)
     for key, value in newer.items():
-        if isinstance(value, Mapping) and isinstance(out.get(key), Mapping):
-            out[key] = _joined(out[key], value)
+        before = out.get(key)
+        if isinstance(value, Mapping) and isinstance(before, Mapping):
+            out[key] = _joined(before, value)
         else:
             out[key] = value
     return out

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from cellsys.mechanics.crawler import CrawlerSystem
-from cellsys.scene.build import build
+from cellsys.scene.build import build, spreading
 from cellsys.scene.load import load_scene
 from cellsys.scene.registry import EFFECTS
 from cellsys.scene.timing import effect_of, time_shares
@@ -52,7 +51,7 @@ def effect_list() -> list[dict[str, str]]:
     ]
 
 
-def scene_effects(path: str | Path, seconds: float = 20.0) -> list[dict[str, Any]]:
+def scene_effects(path: str | Path, seconds: float = 20.0) -> list[dict[str, float | str]]:
     """One row per effect of a scene: states, auxiliaries, columns of W_eta, share of the time.
 
     The shares come from `seconds` s of the scene, timed after as many to warm up; the last row
@@ -62,12 +61,13 @@ def scene_effects(path: str | Path, seconds: float = 20.0) -> list[dict[str, Any
     system = build(scene)
     if isinstance(system, CrawlerSystem):
         return scene_table(path)
+    cells = spreading(system)
     empty = dict.fromkeys(
         ("elements", "states", "auxiliaries", "columns of W_eta", "input forces"), 0
     )
     acting = np.diff(system.W_eta.tocsc().indptr) > 0
-    rows: dict[str, dict[str, Any]] = {}
-    for element in system.elements:
+    rows: dict[str, dict[str, int]] = {}
+    for element in cells.elements:
         ports = [p.block for p in element.ports]
         inside = [f"{b.name}.rate" for b in element.internal]
         own = rows.setdefault(effect_of(element), dict(empty))
@@ -77,24 +77,24 @@ def scene_effects(path: str | Path, seconds: float = 20.0) -> list[dict[str, Any
         own["columns of W_eta"] += sum(
             int(acting[system.auxiliaries.slice(b)].sum()) for b in (*ports, *inside)
         )
-        own["input forces"] += sum(system.nodes_of(p.array) * 3 for p in element.inputs)
-    for array in system.arrays:
+        own["input forces"] += sum(cells.nodes_of(p.array) * 3 for p in element.inputs)
+    for array in cells.arrays:
         if array.name.count("."):  # node arrays that an effect brings along
             rows[array.name.rpartition(".")[2]]["states"] += array.block.size
-    shares = time_shares(system, scene.step, seconds, scene.seed)
+    shares = time_shares(cells, scene.step, seconds, scene.seed)
     return [
         {"effect": name, **rows.get(name, empty), "share of time": shares.get(name, 0.0)}
         for name in [*scene.effects, *(n for n in shares if n not in scene.effects)]
     ]
 
 
-def scene_table(path: str | Path) -> list[dict[str, int | str]]:
+def scene_table(path: str | Path) -> list[dict[str, float | str]]:
     """One row per element of a scene: states, auxiliaries (columns of W_eta), input forces.
 
     On a chain: one row per cell and one for the chain.
     """
     system = build(load_scene(path))
-    rows: list[dict[str, int | str]] = []
+    rows: list[dict[str, float | str]] = []
     if isinstance(system, CrawlerSystem):
         for name in (*(f"cell{k + 1}" for k in range(len(system.cells))), "chain"):
             states, auxiliaries = (
@@ -105,14 +105,15 @@ def scene_table(path: str | Path) -> list[dict[str, int | str]]:
                 {"element": name, "states": states, "auxiliaries": auxiliaries, "input forces": 0}
             )
         return rows
-    for element in system.elements:
+    cells = spreading(system)
+    for element in cells.elements:
         blocks = [p.block for p in element.ports] + [f"{b.name}.rate" for b in element.internal]
         rows.append(
             {
                 "element": element.name,
                 "states": sum(b.size for b in element.internal),
                 "auxiliaries": sum(system.auxiliaries[b].size for b in blocks),
-                "input forces": sum(system.nodes_of(p.array) * 3 for p in element.inputs),
+                "input forces": sum(cells.nodes_of(p.array) * 3 for p in element.inputs),
             }
         )
     return rows

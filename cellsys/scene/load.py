@@ -63,10 +63,10 @@ def scene_from_plain(
     """
     registry = Registry(effects)
 
-    def history(value: Any) -> History | None:
+    def history(value: Mapping[str, Any] | None) -> History | None:
         return None if value is None else History(tuple(value["times"]), tuple(value["values"]))
 
-    def commands(value: Any) -> Commands | None:
+    def commands(value: Mapping[str, Any] | None) -> Commands | None:
         if value is None:
             return None
         return Commands(history(value["heading"]), history(value["amplitude"]))
@@ -91,10 +91,9 @@ def scene_from_plain(
                 "its class in matrices="
             )
         matrix = known[matrix["kind"]].restore(matrix)
-    cells = tuple(
-        Crawler(**c)
-        if "lead_node" in c
-        else CellScene(
+    crawlers = tuple(Crawler(**c) for c in table["cells"] if "lead_node" in c)
+    membranes = tuple(
+        CellScene(
             position=tuple(c["position"]),
             polarity=c["polarity"],
             radius=c["radius"],
@@ -102,13 +101,16 @@ def scene_from_plain(
             commands=commands(c["commands"]),
         )
         for c in table["cells"]
+        if "lead_node" not in c
     )
+    if crawlers and membranes:
+        raise ParameterError("cells must be all with a membrane or all crawlers")
     return Scene(
         name=table["name"],
         duration=table["duration"],
         sample=table["sample"],
         effects=made(table["effects"]),
-        cells=cells,
+        cells=crawlers or membranes,
         matrix=matrix,
         commands=commands(table["commands"]) or Commands(),
         training=Training(**table["training"]),

@@ -48,7 +48,7 @@ def scene_schema(
 
 
 def scene_fields(
-    table: Mapping[str, Any],
+    table: Mapping[str, object],
     *,
     effects: Iterable[type[Effect]] = (),
     matrices: Iterable[type] = (),
@@ -68,7 +68,7 @@ def scene_fields(
         tables = _tables(
             registry.names(named), tuple(registry[name] for name in named), _scenes(known)
         )
-        parsed: Any = tables[kind].model_validate(dict(table))
+        parsed = tables[kind].model_validate(dict(table))
     except ValidationError as error:
         raise SceneError("; ".join(explain(i, tables, kind) for i in error.errors())) from error
     except SceneError:
@@ -83,7 +83,7 @@ def scene_fields(
         raise SceneError(str(error)) from error
 
 
-def _named_effects(table: Mapping[str, Any]) -> list[str]:
+def _named_effects(table: Mapping[str, object]) -> list[str]:
     """Names under [effects] and under the effects of any cell, each once."""
     cells = table.get("cells")
     places = [table, *(cells if isinstance(cells, list) else ())]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from dataclasses import Field
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -18,6 +19,8 @@ Cell = CellScene | Crawler
 
 class ScenePlan(Protocol):
     """A scene, made by cs.load_scene(path) or cs.Scene.parse(table)."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # `dataclasses.replace` takes it
 
     @property
     def name(self) -> str:
@@ -66,6 +69,10 @@ class ScenePlan(Protocol):
     @property
     def membranes(self) -> tuple[CellScene, ...]:
         """Its cells, which have a membrane; SceneError for crawlers."""
+
+    @property
+    def crawlers(self) -> tuple[Crawler, ...]:
+        """Its cells, which crawl on a chain; SceneError for cells with a membrane."""
 
     @property
     def times(self) -> np.ndarray:

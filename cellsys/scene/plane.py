@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from cellsys.drawable import draw_by
 from cellsys.errors import SceneError
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.mechanics.crawler import Crawler
+from cellsys.mechanics.effects.matrix import Drag
 from cellsys.mechanics.effects.protocol import CellBody, Effect, check_parameters
 from cellsys.mechanics.geometry.disc import Disc
 from cellsys.mechanics.geometry.membrane import sphere
@@ -38,10 +38,14 @@ class Plane:
     not stand everywhere.
     """
 
-    kind: ClassVar[str] = "none"
+    @property
+    def kind(self) -> str:
+        """What a scene file calls it, in matrix.kind."""
+        return "none"
 
     def __post_init__(self) -> None:
-        check_parameters(self)
+        if dataclasses.is_dataclass(self):
+            check_parameters(self)
 
     @property
     def title(self) -> str:
@@ -86,7 +90,10 @@ class Plane:
             every = _ordered({**scene.effects, **cell.effects})
             own = {n: e for n, e in every if e.acts_on == "cell"}
             cells.append(CellSpec(body, own, cell.commands or scene.commands))
-        return build_spreading(tuple(cells), matrix, effects, scene.effects["drag"])
+        drag = scene.effects["drag"]
+        if not isinstance(drag, Drag):
+            raise SceneError(f"effects.drag must be a Drag, got a {type(drag).__name__}")
+        return build_spreading(tuple(cells), matrix, effects, drag)
 
     def place_cells(self, scene: ScenePlan) -> None:
         """Refuse cells that are too small or large, reach outside, or overlap."""
@@ -108,7 +115,7 @@ class Plane:
             dataclasses.replace(
                 c,
                 polarity=float(rng.uniform(-np.pi, np.pi)),
-                position=tuple(float(x) for x in np.asarray(c.position) + shift),
+                position=(float(c.position[0] + shift[0]), float(c.position[1] + shift[1])),
             )
             for c in scene.membranes
         )
@@ -123,7 +130,7 @@ class Plane:
         """Scenes of turning commands; see `turning_scenes`."""
         return turning(scene, n, self.reach, seed=seed, loaded=loaded, scatter=scatter, label=label)
 
-    def draw(self, run: Trajectory, ax: Any = None, *, k: int = -1) -> Any:
+    def draw(self, run: Trajectory, ax: object = None, *, k: int = -1) -> object:
         """Horizontal displacement of the surface at sample k."""
         rest, u = run.geometry["matrix.rest"], run.block("matrix.displacement")
         error = run.error_of("matrix.displacement")
@@ -179,8 +186,10 @@ class Plane:
 class FreeMembranes(Plane):
     """Cells on nothing."""
 
-    kind: ClassVar[str] = "none"
-    title: ClassVar[str] = "no matrix"
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return "no matrix"
 
 
 NO_MATRIX = FreeMembranes()

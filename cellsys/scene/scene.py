@@ -79,7 +79,7 @@ class Scene:
 
     @staticmethod
     def parse(
-        table: Mapping[str, Any],
+        table: Mapping[str, object],
         *,
         effects: Iterable[type[Effect]] = (),
         matrices: Iterable[type] = (),
@@ -133,13 +133,23 @@ class Scene:
         return found
 
     @property
+    def crawlers(self) -> tuple[Crawler, ...]:
+        """The cells, each a crawler; SceneError where there are cells with a membrane."""
+        found = tuple(cell for cell in self.cells if isinstance(cell, Crawler))
+        if len(found) < len(self.cells):
+            raise SceneError("this takes crawlers, and the scene has cells with a membrane")
+        return found
+
+    @property
     def times(self) -> np.ndarray:
         """Sample times, s: 0, sample, ..., duration."""
         return np.linspace(0.0, self.duration, intervals(self.duration, self.sample) + 1)
 
     def canonical(self) -> dict[str, Any]:
         """Everything the result depends on, as plain values in internal units."""
-        table = {f.name: _plain(getattr(self, f.name)) for f in dataclasses.fields(self)}
+        table: dict[str, Any] = {
+            f.name: _plain(getattr(self, f.name)) for f in dataclasses.fields(self)
+        }
         if self.until is None:
             table.pop("until")
         if self.matrix is not None:
@@ -168,7 +178,7 @@ def _version() -> str:
     return __version__
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     if isinstance(value, Effect):
         fields = {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
         origin = source_of(type(value))
@@ -185,7 +195,7 @@ def _plain(value: Any) -> Any:
 
 
 def parse_scene(
-    table: Mapping[str, Any],
+    table: Mapping[str, object],
     *,
     effects: Iterable[type[Effect]] = (),
     matrices: Iterable[type] = (),

@@ -8,7 +8,7 @@ from typing import Any
 from cellsys.scene.inherit import preset_names
 
 
-def for_editors(schema: Mapping[str, Any]) -> dict[str, Any]:
+def for_editors(schema: Mapping[str, object]) -> dict[str, object]:
     """A pydantic schema without null (TOML has none), with presets and ``effect = false``.
 
     A scene that extends another one may leave out its name and duration.

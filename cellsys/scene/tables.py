@@ -6,9 +6,11 @@ import dataclasses
 import difflib
 from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
+from types import GenericAlias
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, create_model
+from pydantic_core import ErrorDetails
 
 from cellsys.kinds import shown
 from cellsys.mechanics.commands import History
@@ -22,7 +24,7 @@ class TomlTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-def _converter(unit: str) -> Callable[[Any], float]:
+def _converter(unit: str) -> Callable[[str | float], float]:
     return lambda value: quantity(value, unit)
 
 
@@ -55,12 +57,11 @@ Count = Annotated[int, Field(strict=True)]
 
 
 def _history(unit: str, name: str) -> type[BaseModel]:
-    return create_model(
-        name,
-        __base__=TomlTable,
-        times=(list[Time], Field(min_length=1)),
-        values=(list[amount(unit)], Field(min_length=1)),
-    )
+    fields: dict[str, Any] = {
+        "times": (list[Time], Field(min_length=1)),
+        "values": (GenericAlias(list, (amount(unit),)), Field(min_length=1)),
+    }
+    return create_model(name, __base__=TomlTable, **fields)
 
 
 _AngleHistory = _history("rad", "HeadingHistory")
@@ -79,9 +80,13 @@ class CommandsTable(TomlTable):
     amplitude: _FactorHistory | None = None  # type: ignore[valid-type]
 
 
-@lru_cache(maxsize=256)
 def parameter_table(effect: type) -> type[BaseModel]:
     """Table of the fields that `parameter` made, of an effect or of a matrix of one's own."""
+    return _parameter_table(effect)
+
+
+@lru_cache(maxsize=256)
+def _parameter_table(effect: type) -> type[BaseModel]:
     fields: dict[str, Any] = {}
     for item in dataclasses.fields(effect):
         if isinstance(item.default, History):
@@ -99,7 +104,8 @@ def parameter_table(effect: type) -> type[BaseModel]:
     table.__doc__ = (effect.__doc__ or effect.__name__).strip().split("\n")[0]
     if any(item.name == "patches" for item in dataclasses.fields(effect)):
         # Further ones of the same kind, which act together with the first.
-        table = create_model(f"{effect.__name__}sTable", __base__=table, patches=(list[table], []))
+        fields = {"patches": (GenericAlias(list, (table,)), [])}
+        table = create_model(f"{effect.__name__}sTable", __base__=table, **fields)
     return table
 
 
@@ -141,7 +147,7 @@ class _CellTable(TomlTable):
     position: tuple[_Length, _Length] = (0.0, 0.0)
     polarity: Angle = 0.0
     radius: _Length = 8.0
-    effects: dict[str, Any] | None = None
+    effects: dict[str, object] | None = None
     commands: CommandsTable | None = None
 
 
@@ -169,7 +175,7 @@ class DiscSceneTable(TomlTable):
     seed: Count = 0
     matrix: DiscTable | None = None
     cells: list[_CellTable] = []
-    effects: dict[str, Any] = Field(default_factory=dict)
+    effects: dict[str, object] = Field(default_factory=dict)
     commands: CommandsTable = CommandsTable()
     training: _TrainingTable = _TrainingTable()
 
@@ -180,27 +186,29 @@ def with_effects(scene: type[TomlTable], effects: type[TomlTable]) -> type[TomlT
     (cell,) = _models(scene.model_fields["cells"].annotation)
     if "effects" in cell.model_fields:
         name = cell.__name__.lstrip("_")
-        cell = create_model(name, __base__=cell, effects=(effects | None, None))
-        fields["cells"] = (list[cell], [])
+        own: dict[str, Any] = {"effects": (effects | None, None)}
+        cell = create_model(name, __base__=cell, **own)
+        fields["cells"] = (GenericAlias(list, (cell,)), [])
     return create_model(scene.__name__, __base__=scene, **fields)
 
 
 def _known_keys(location: tuple, scene: type[TomlTable]) -> list[str]:
     """Keys allowed in the table at `location` of a scene file."""
-    model: Any = scene
+    model: type[BaseModel] = scene
     for part in location:
         if isinstance(part, int):
             continue
-        field = model.model_fields.get(part) if hasattr(model, "model_fields") else None
+        field = model.model_fields.get(part)
         if field is None:
             return []
-        model = next((m for m in _models(field.annotation)), None)
-        if model is None:
+        inside = _models(field.annotation)
+        if not inside:
             return []
+        model = inside[0]
     return list(model.model_fields)
 
 
-def _models(annotation: Any) -> list[type[BaseModel]]:
+def _models(annotation: object) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [m for a in getattr(annotation, "__args__", ()) for m in _models(a)]
@@ -209,7 +217,7 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
 _LONGEST = 60  # characters of a key or a value that a message shows
 
 
-def explain(item: Mapping[str, Any], kinds: Mapping[str, type[TomlTable]], kind: str) -> str:
+def explain(item: ErrorDetails, kinds: Mapping[str, type[TomlTable]], kind: str) -> str:
     """One mistake of a scene file in words; `kinds` are the scene tables by matrix.kind."""
     location = tuple(item["loc"])
     path = ""

@@ -9,17 +9,21 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.simulate import simulate
+from cellsys.integrate.stepping import Stepper
 from cellsys.kinds import Count, Seed
-from cellsys.mechanics.effects.protocol import Element
+from cellsys.mechanics.effects.protocol import Configuration, Element, Stiffness
 from cellsys.mechanics.spreading import SpreadingSystem
+from cellsys.system import OdeSystem
 
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
 _METHODS = (
     "efforts", "force", "flows", "rates", "advance", "stiffness", "low_rank", "between_steps",
     "observe", "slopes",
@@ -46,14 +50,14 @@ class Stopwatch:
             nothing()
         self._reading = self.seconds.pop("nothing") / self.calls.pop("nothing")
 
-    def timed(self, label: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    def timed(self, label: str, function: Callable[_P, _T]) -> Callable[_P, _T]:
         """The function, with its calls counted and its time without that of timed ones inside."""
 
-        def call(*arguments: Any) -> Any:
+        def call(*arguments: _P.args, **named: _P.kwargs) -> _T:
             self._inner.append(0.0)
             began = time.process_time()
             try:
-                return function(*arguments)
+                return function(*arguments, **named)
             finally:
                 took = time.process_time() - began - self._reading
                 inside = self._inner.pop()
@@ -73,7 +77,7 @@ class Stopwatch:
                     self._set(element, name, self.timed(label, getattr(element, name)))
             if "stiffness" in vars(element):
                 self._watch_matrices(label, element)
-            if hasattr(element, "sensed"):
+            if type(element).sensed is not Element.sensed:
                 self._set(element, "sensed", self.timed("stiffness_sensing", element.sensed))
 
     def release(self) -> None:
@@ -82,17 +86,17 @@ class Stopwatch:
             delattr(element, name)
         self._watched.clear()
 
-    def _set(self, element: Element, name: str, function: Callable[..., Any]) -> None:
+    def _set(self, element: Element, name: str, function: Callable[..., object]) -> None:
         setattr(element, name, function)
         self._watched.append((element, name))
 
     def _watch_matrices(self, label: str, element: Element) -> None:
         inner = element.stiffness
 
-        def stiffness(s: Any) -> tuple:
+        def stiffness(s: Configuration) -> tuple[Stiffness, ...]:
             return tuple(item._replace(matrix=self.timed(label, item.matrix)) for item in inner(s))
 
-        element.stiffness = stiffness
+        vars(element)["stiffness"] = stiffness
 
 
 @checked
@@ -126,7 +130,9 @@ class _Watched(LinearlyImplicit):
 
     watch: Stopwatch
 
-    def start(self, system: Any, t0: float, x0: Any, rng: Any) -> Any:
+    def start(
+        self, system: OdeSystem, t0: float, x0: np.ndarray, rng: np.random.Generator
+    ) -> Stepper:
         stepper = super().start(system, t0, x0, rng)
         for name in ("_solve", "_look"):
             setattr(stepper, name, self.watch.timed(_SOLVE, getattr(stepper, name)))
@@ -144,7 +150,7 @@ def step_cost(
     """
     watch = Stopwatch()
     plain, watched = LinearlyImplicit(step=step), _Watched(step=step, watch=watch)
-    x0 = simulate(system, plain, [0.0, duration], seed=seed, auxiliaries=False).x[-1]
+    x0 = simulate(system, plain, np.array([0.0, duration]), seed=seed, auxiliaries=False).x[-1]
 
     def once(method: LinearlyImplicit) -> tuple[float, int]:
         stepper = method.start(system, duration, x0, np.random.default_rng(seed))

@@ -48,7 +48,7 @@ def without(scene: Scene, name: str) -> tuple[Scene, tuple[str, ...]]:
         gone |= more
     cells = tuple(
         dataclasses.replace(c, effects={n: e for n, e in c.effects.items() if n not in gone})
-        for c in scene.cells
+        for c in scene.membranes
     )
     return dataclasses.replace(scene, effects=left, cells=cells), tuple(sorted(gone - {name}))
 
@@ -71,7 +71,7 @@ def split_values(text: str) -> list[str]:
     return [*values, text[start:].strip()]
 
 
-def read_value(text: str) -> Any:
+def read_value(text: str) -> object:
     """A TOML value, or the text itself: `3` is a number, `100 pN` a string."""
     try:
         table = parse_toml(f"value = {text}")
@@ -100,7 +100,7 @@ def read_setting(text: str) -> tuple[str, list[str]]:
     return key.strip(), listed
 
 
-def with_value(table: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
+def with_value(table: Mapping[str, object], key: str, value: object) -> dict[str, object]:
     """A copy of a scene table with the entry at a dotted key set; cells by number from 0.
 
     Raises
@@ -123,23 +123,23 @@ def with_value(table: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]
                     f"key {shown(key)}: {shown('.'.join(parts[:depth]))} has entries 0 to "
                     f"{len(place) - 1}, not {shown(part)}"
                 )
-            index: Any = int(part)
+            key_here: int | str = int(part)
         elif isinstance(place, dict):
-            index = part
+            key_here = part
         else:
             raise SceneError(
                 f"key {shown(key)}: {shown('.'.join(parts[:depth]))} is a value, not a table"
             )
         if last:
-            place[index] = value
+            place[key_here] = value
         else:
             if isinstance(place, dict):
-                place.setdefault(index, {})
-            place = place[index]
+                place.setdefault(key_here, {})
+            place = place[key_here]
     return out
 
 
-def _size(table: Mapping[str, Any], folder: Path, count: int) -> str:
+def _size(table: Mapping[str, object], folder: Path, count: int) -> str:
     """What so many runs of the scene as it stands take on the disk; empty where it is none."""
     try:
         record = memory_need(parse_scene(table, folder=folder)).record

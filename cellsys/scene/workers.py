@@ -104,10 +104,12 @@ class Workers:
         Exception
             The first that the function raised, when what had begun has come to its end.
         """
-        left, failed = deque(tasks), None
+        left = deque(tasks)
+        failed: BaseException | None = None
         waiting = {worker.line: worker for worker in self._workers}
         while waiting:
-            for line in wait(list(waiting)):
+            ready = set(wait(list(waiting)))
+            for line in [known for known in waiting if known in ready]:
                 try:
                     word, value = line.recv()
                 except (EOFError, ConnectionError):

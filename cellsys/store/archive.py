@@ -47,7 +47,7 @@ def save_archive(
     kind: str,
     version: int,
     arrays: Annotated[Mapping[str, np.ndarray], Takes(Mapping[str, object])],
-    metadata: Mapping[str, Any],
+    metadata: Mapping[str, object],
 ) -> Path:
     """Write arrays and JSON metadata as one npz, atomically.
 

@@ -8,7 +8,6 @@ import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from cellsys.arguments import checked
 from cellsys.errors import ParameterError
@@ -43,7 +42,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 @checked
-def write_json(path: str | Path, value: Any) -> None:
+def write_json(path: str | Path, value: object) -> None:
     """Write `value` as JSON, atomically; NaN, inf and what JSON does not know are refused."""
     try:
         text = json.dumps(value, indent=2, sort_keys=True, allow_nan=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from cellsys.arguments import checked
 
 
 @checked
-def fingerprint(*parts: Any) -> str:
+def fingerprint(*parts: object) -> str:
     """SHA-256 (hex) of JSON-able values and arrays, in order.
 
     Arrays are hashed with their dtype and shape; floats by their shortest exact repr.

@@ -12,10 +12,11 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from cellsys.contracts import LinearModel
 from cellsys.figures import cells_from_above, pair_gaps, save_png, sheet
 from cellsys.figures import trajectory as paths
+from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.observe import (
     PairReadout,
     alone_scenes,
@@ -24,6 +25,7 @@ from cellsys.observe import (
     summary_of_run,
 )
 from cellsys.scene import Scene, build, run_ensemble, run_scene
+from cellsys.scene.build import spreading
 from cellsys.shown import Shown
 from cellsys.store import write_json, write_text
 from cellsys.study.fields import draw_displacement
@@ -31,6 +33,7 @@ from cellsys.study.files import plain, save_run
 from cellsys.study.html import STYLE, image, table
 from cellsys.study.measure import matrix_row, read_out_name, short_number, texts
 from cellsys.study.reduced_cells import ReducedCells, check_model, reduced_cells
+from cellsys.study.summary import CellsSummary, table_of
 from cellsys.trajectory import Trajectory, cell_names
 
 Progress = Callable[[str, float], None]
@@ -49,8 +52,8 @@ class CellsStudy(Shown):
         Every two neighbours (cells counted from 0) beside their one-cell controls.
     reduced : ReducedCells or None
         Copies of the model that was given, on the same matrix.
-    summary : mapping
-        What ``summary.json`` holds.
+    told : CellsSummary
+        What ``summary.json`` holds; `summary` is the same as plain tables.
     out : Path
     """
 
@@ -58,16 +61,21 @@ class CellsStudy(Shown):
     run: Trajectory
     pairs: Mapping[tuple[int, int], PairReadout]
     reduced: ReducedCells | None
-    summary: Mapping[str, Any]
+    told: CellsSummary
     out: Path
 
+    @property
+    def summary(self) -> Mapping[str, object]:
+        """What ``summary.json`` holds, as plain tables."""
+        return table_of(self.told)
+
     def __str__(self) -> str:
-        return str(self.summary["verdict"])
+        return self.told.verdict
 
     def report(self) -> str:
         """The study in words, for a terminal."""
         lines = [str(self.run), ""]
-        for name, row in {**self.summary["cells"], "matrix": self.summary["matrix"]}.items():
+        for name, row in {**self.told.cells, "matrix": self.told.matrix}.items():
             if row:
                 lines.append(f"{name}:")
                 lines += [f"  {read_out_name(k):28s} {v}" for k, v in texts(row).items()]
@@ -83,7 +91,7 @@ def study_cells(
     out: str | Path,
     *,
     workers: int = 2,
-    model: Any = None,
+    model: LinearModel | None = None,
     progress: Progress | None = None,
 ) -> CellsStudy:
     """Run a scene, read it out, report on it.
@@ -104,36 +112,34 @@ def study_cells(
     say = progress or (lambda stage, share: None)
     folder = Path(out)
     run, alone = _runs(scene, folder / "runs", workers, say)
-    system = build(scene)
+    system = spreading(build(scene))
     rest = None if system.matrix is None else system.matrix.position
-    pairs = observe_neighbours(run, alone, rest) if alone else {}
+    pairs = observe_neighbours(run, alone, rest) if alone and rest is not None else {}
     reduced = None
     if model is not None:
         say("reduced cells", 0.0)
         reduced = reduced_cells(scene, system, model, run, alone)
         say("reduced cells", 1.0)
-    summary: dict[str, Any] = {
-        "scene": scene.name,
-        "fingerprint": scene.fingerprint(),
-        "cells": {name: _cell_row(run, k, name) for k, name in enumerate(cell_names(run.states))},
-        "matrix": matrix_row(run),
-        "pairs": {f"{i + 1}-{j + 1}": pair.means() for (i, j), pair in pairs.items()},
-        "events": [list(e) for e in run.events if e.name == "contact"],
-        "reduced": None if reduced is None else reduced.table(),
-        "full_order_s": run.statistics["wall_time"],
-        "step_residual_share": run.residual_share(),
-        "verdict": _verdict(scene, run, pairs, reduced),
-    }
+    told = CellsSummary(
+        scene=scene.name,
+        fingerprint=scene.fingerprint(),
+        cells={name: _cell_row(run, k, name) for k, name in enumerate(cell_names(run.states))},
+        matrix=matrix_row(run),
+        pairs={f"{i + 1}-{j + 1}": pair.means() for (i, j), pair in pairs.items()},
+        events=tuple(e for e in run.events if e.name == "contact"),
+        reduced=None if reduced is None else reduced.table(),
+        full_order_s=run.statistics["wall_time"],
+        step_residual_share=run.residual_share(),
+        verdict=_verdict(scene, run, pairs, reduced),
+    )
     save_run(run, folder / "run.npz")
     say("report", 0.2)
-    result = CellsStudy(
-        scene=scene, run=run, pairs=pairs, reduced=reduced, summary=summary, out=folder
-    )
+    result = CellsStudy(scene=scene, run=run, pairs=pairs, reduced=reduced, told=told, out=folder)
     _write_report(result, _figures(result, system, folder / "figures"))
     say("report", 1.0)
-    summary["wall_time_s"] = time.perf_counter() - began
-    write_json(folder / "summary.json", plain(summary))
-    return result
+    told = dataclasses.replace(told, wall_time_s=time.perf_counter() - began)
+    write_json(folder / "summary.json", plain(table_of(told)))
+    return dataclasses.replace(result, told=told)
 
 
 def _runs(
@@ -194,7 +200,7 @@ def _verdict(scene: Scene, run: Trajectory, pairs: Mapping, reduced: ReducedCell
     return f"{text}. Models are learned from scenes with exactly one steered cell on a matrix"
 
 
-def _figures(result: CellsStudy, system: Any, folder: Path) -> dict[str, Path]:
+def _figures(result: CellsStudy, system: SpreadingSystem, folder: Path) -> dict[str, Path]:
     drawn, run, disc = {}, result.run, system.matrix
     names = cell_names(run.states)
     if names:
@@ -212,7 +218,7 @@ def _figures(result: CellsStudy, system: Any, folder: Path) -> dict[str, Path]:
             figure, ax = sheet((9, 4.5))
             paths(run, ax)
             drawn["centres"] = save_png(figure, folder / "centres.png")
-    if disc is not None:
+    if result.scene.matrix is not None:
         drawn["displacement_field"] = draw_displacement(
             run, result.scene.matrix, folder / "displacement_field.png"
         )
@@ -224,7 +230,7 @@ def _figures(result: CellsStudy, system: Any, folder: Path) -> dict[str, Path]:
 
 
 def _write_report(result: CellsStudy, figures: Mapping[str, Path]) -> None:
-    name, cells = html.escape(result.scene.name), result.summary["cells"]
+    name, cells = html.escape(result.scene.name), result.told.cells
     alt = {"cells": "cells and matrix, before and after", "centres": "centres against time",
            "displacement_field": "displacement of the matrix",
            "gaps": "gaps and speed of the matrix in them"}  # fmt: skip
@@ -240,18 +246,18 @@ def _write_report(result: CellsStudy, figures: Mapping[str, Path]) -> None:
         told = {c: texts(row) for c, row in cells.items()}
         body = [(read_out_name(r), *(told[c][r] for c in cells)) for r in rows]
         parts += ["<h2>Read-outs</h2>", table(("read-out", *cells), body)]
-    if result.summary["matrix"]:
-        moved = [(read_out_name(k), v) for k, v in texts(result.summary["matrix"]).items()]
+    if result.told.matrix:
+        moved = [(read_out_name(k), v) for k, v in texts(result.told.matrix).items()]
         parts.append(table(("matrix", "value"), moved))
     if result.pairs:
-        means = result.summary["pairs"]
+        means = result.told.pairs
         rows = list(next(iter(means.values())))
         body = [(read_out_name(r), *(short_number(means[p][r]) for p in means)) for r in rows]
         parts += ["<h2>Between neighbours</h2>", table(("pair", *means), body)]
     if result.reduced is not None:
         parts += ["<h2>Reduced cells</h2>", f"<pre>{html.escape(str(result.reduced))}</pre>"]
     parts += [
-        f"<p class='note'>Full-order run: {result.summary['full_order_s']:.3g} s.</p>",
+        f"<p class='note'>Full-order run: {result.told.full_order_s:.3g} s.</p>",
         "</body></html>",
     ]
     write_text(result.out / "report.html", "\n".join(parts))

@@ -5,13 +5,14 @@ from __future__ import annotations
 import html
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from cellsys.errors import DataError, ParameterError
 from cellsys.figures import crawler_run, save_png, sheet
+from cellsys.mechanics.crawler import CrawlerSystem
 from cellsys.mechanics.crawler_run import CrawlRun, judge
 from cellsys.scene import Scene, build, run_scene
 from cellsys.shown import Shown
@@ -19,6 +20,7 @@ from cellsys.store import write_json, write_text
 from cellsys.study.files import plain, save_run
 from cellsys.study.html import STYLE, image, table
 from cellsys.study.measure import read_out_name, short_number
+from cellsys.study.summary import CrawlerSummary, table_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,15 +31,20 @@ class CrawlerStudy(Shown):
     ----------
     crawl : CrawlRun
         The full-order run and its outcome; no reduced model is learned here.
-    summary : mapping
-        What ``summary.json`` holds.
+    told : CrawlerSummary
+        What ``summary.json`` holds; `summary` is the same as plain tables.
     out : Path
     """
 
     scene: Scene
     crawl: CrawlRun
-    summary: Mapping[str, Any]
+    told: CrawlerSummary
     out: Path
+
+    @property
+    def summary(self) -> Mapping[str, object]:
+        """What ``summary.json`` holds, as plain tables."""
+        return table_of(self.told)
 
     def __str__(self) -> str:
         return str(self.crawl)
@@ -45,7 +52,7 @@ class CrawlerStudy(Shown):
     def report(self) -> str:
         """The study in words, for a terminal."""
         lines = [str(self.crawl.trajectory), ""]
-        for name, row in self.summary["cells"].items():
+        for name, row in self.told.cells.items():
             lines.append(f"{name}:")
             lines += [f"  {read_out_name(k):28s} {v:.4g}" for k, v in row.items()]
         return "\n".join([*lines, "", str(self)])
@@ -67,36 +74,39 @@ def study_crawler(
     say = progress or (lambda stage, share: None)
     folder = Path(out)
     say("full-order run", 0.0)
-    crawl = judge(build(scene), run_scene(scene))
+    system = build(scene)
+    if not isinstance(system, CrawlerSystem) or scene.matrix is None:
+        raise ParameterError("this study is of crawlers, and the scene has none on a chain")
+    matrix, run = scene.matrix, run_scene(scene)
+    crawl = judge(system, run)
     say("full-order run", 1.0)
-    run: Any = crawl.trajectory
-    summary: dict[str, Any] = {
-        "scene": scene.name,
-        "fingerprint": scene.fingerprint(),
-        "outcome": crawl.outcome,
-        "reason": crawl.reason,
-        "switches": len(crawl.switches()),
-        "chatter": crawl.chatter,
-        "cells": cell_table(crawl),
-        "integrator": run.statistics["integrator"],
-        "full_order_s": run.statistics["wall_time"],
-    }
+    told = CrawlerSummary(
+        scene=scene.name,
+        fingerprint=scene.fingerprint(),
+        outcome=crawl.outcome,
+        reason=crawl.reason,
+        switches=len(crawl.switches()),
+        chatter=crawl.chatter,
+        cells=cell_table(crawl),
+        integrator=run.statistics["integrator"],
+        full_order_s=run.statistics["wall_time"],
+    )
     save_run(run, folder / "run.npz", {"switch_times": crawl.switches()})
     say("report", 0.2)
     figures = {}
-    for name, draw in (
-        ("crawler_run", crawler_run),
-        ("chain_displacement", lambda _, ax: scene.matrix.draw(run, ax)),
-    ):
+    for name in ("crawler_run", "chain_displacement"):
         figure, ax = sheet((9, 5))
-        draw(crawl, ax)
+        if name == "crawler_run":
+            crawler_run(crawl, ax)
+        else:
+            matrix.draw(run, ax)
         figures[name] = save_png(figure, folder / "figures" / f"{name}.png")
-    result = CrawlerStudy(scene, crawl, summary, folder)
+    result = CrawlerStudy(scene, crawl, told, folder)
     _write_report(result, figures)
     say("report", 1.0)
-    summary["wall_time_s"] = time.perf_counter() - began
-    write_json(folder / "summary.json", plain(summary))
-    return result
+    told = replace(told, wall_time_s=time.perf_counter() - began)
+    write_json(folder / "summary.json", plain(table_of(told)))
+    return replace(result, told=told)
 
 
 def cell_table(crawl: CrawlRun) -> dict[str, dict[str, float]]:
@@ -106,7 +116,9 @@ def cell_table(crawl: CrawlRun) -> dict[str, dict[str, float]]:
     crawl speed is taken from the start to the first sample after the cell's last switch, so that
     standing still afterwards does not count; without a switch over the whole run. um/s.
     """
-    run: Any = crawl.trajectory
+    run = crawl.trajectory
+    if run is None:
+        raise DataError(f"the run was stopped: {crawl.reason}")
     values = {}
     for k, cell in enumerate(crawl.system.cells):
         name = f"cell{k + 1}"
@@ -129,7 +141,7 @@ def cell_table(crawl: CrawlRun) -> dict[str, dict[str, float]]:
 
 
 def _write_report(result: CrawlerStudy, figures: Mapping[str, Path]) -> None:
-    name, cells = html.escape(result.scene.name), result.summary["cells"]
+    name, cells = html.escape(result.scene.name), result.told.cells
     rows = list(next(iter(cells.values())))
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
@@ -144,7 +156,7 @@ def _write_report(result: CrawlerStudy, figures: Mapping[str, Path]) -> None:
         "<h2>The chain</h2>",
         image(figures["chain_displacement"], "displacement of the chain against time"),
         "<p class='note'>Crawl speed: from the start to the cell's last switch. "
-        f"{html.escape(result.summary['integrator'])}, {result.summary['full_order_s']:.3g} s. "
+        f"{html.escape(result.told.integrator)}, {result.told.full_order_s:.3g} s. "
         "The full-order run only: the default parameters are a working set without dimensions; "
         "reduced models of it are compared in analysis/thesis/fig07_08_crawler.py.</p>",
         "</body></html>",

@@ -5,13 +5,19 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from cellsys.cell import Equivariant, EquivariantModel, with_matrix
 from cellsys.cell.records import read_records
-from cellsys.errors import CellsysError, FileFormatError, LostRunError, RankError, SceneError
+from cellsys.errors import (
+    CellsysError,
+    DataError,
+    FileFormatError,
+    LostRunError,
+    RankError,
+    SceneError,
+)
 from cellsys.field import GalerkinField
 from cellsys.loop import PolarityLaw, ScheduledLoop, closed_loop
 from cellsys.mechanics.effects.steering import Polarity
@@ -22,8 +28,16 @@ from cellsys.response import margins
 from cellsys.samples import Snapshots, snapshots
 from cellsys.samples.provenance import data_hash
 from cellsys.scene import Scene, build
+from cellsys.scene.build import spreading
 from cellsys.store.hashing import fingerprint
 from cellsys.study.measure import OrderRow, margin_table
+from cellsys.study.summary import (
+    ChargedPole,
+    ClockedLoop,
+    EquivariantSummary,
+    HeadingError,
+    NotThere,
+)
 from cellsys.trajectory import Trajectory
 from cellsys.version import __version__
 
@@ -40,17 +54,22 @@ class EquivariantStudy:
         None with the reason in `why_not`.
     run : Trajectory or None
         The polarity loop on it.
-    heading_error : dict
-        Degrees, against the full-order loop: rms and at the end.
-    table : dict
+    told : EquivariantSummary or NotThere
         For ``summary.json``.
     """
 
     model: EquivariantModel | None
     run: Trajectory | None
-    heading_error: dict[str, float]
-    table: dict[str, Any]
+    told: EquivariantSummary | NotThere
     why_not: str | None = None
+
+    @property
+    def heading_error(self) -> HeadingError | None:
+        """Of its polarity loop against the full-order one; None without a loop."""
+        told = self.told
+        if isinstance(told, EquivariantSummary) and isinstance(told.loop, ClockedLoop):
+            return told.loop.heading_error_deg
+        return None
 
     def with_floors(self, floors: dict[str, float]) -> EquivariantStudy:
         """The same with floors on the model's card."""
@@ -58,7 +77,10 @@ class EquivariantStudy:
             return self
         card = replace(card_of(self.model), floors=floors)
         model = replace(self.model, card=card)
-        return replace(self, model=model, table=self.table | {"card": card.table()})
+        told = self.told
+        if isinstance(told, EquivariantSummary):
+            told = replace(told, card=card.table())
+        return replace(self, model=model, told=told)
 
     def lines(self) -> list[str]:
         """For a terminal."""
@@ -70,7 +92,7 @@ class EquivariantStudy:
         out += [f"  warning: {text}" for text in card_of(self.model).warnings]
         if self.heading_error:
             out.append(
-                f"  its polarity loop: heading {self.heading_error['rms']:.1f} deg rms from the "
+                f"  its polarity loop: heading {self.heading_error.rms:.1f} deg rms from the "
                 "full-order loop"
             )
         return out
@@ -88,22 +110,19 @@ def study_equivariant(
         return EquivariantStudy(
             model=None,
             run=None,
-            heading_error={},
-            table={"why_not": str(error)},
+            told=NotThere(str(error)),
             why_not=str(error),
         )
-    run, gap, loop_table = _loop(scene, model, main)
-    table = {
-        "why_not": None,
-        "card": card_of(model).table(),
-        "poles": [
-            {"real": p.value.real, "imag": p.value.imag, "charge": p.charge}
-            for p in model.labelled_poles()
-        ],
-        "fit_seconds": model.notes["fit_seconds"],
-        "loop": loop_table,
-    }
-    return EquivariantStudy(model=model, run=run, heading_error=gap, table=table)
+    run, loop = _loop(scene, model, main)
+    told = EquivariantSummary(
+        card=card_of(model).table(),
+        poles=tuple(
+            ChargedPole(p.value.real, p.value.imag, p.charge) for p in model.labelled_poles()
+        ),
+        fit_seconds=model.notes["fit_seconds"],
+        loop=loop,
+    )
+    return EquivariantStudy(model=model, run=run, told=told)
 
 
 def _learned(scene: Scene, data: Snapshots, test: Snapshots, kept: Path) -> EquivariantModel:
@@ -119,7 +138,7 @@ def _learned(scene: Scene, data: Snapshots, test: Snapshots, kept: Path) -> Equi
             return known
     model = method.fit(data, order, test=test)
     try:
-        model = with_matrix(model, GalerkinField(system=build(scene)), test, data)
+        model = with_matrix(model, GalerkinField(system=spreading(build(scene))), test, data)
     except (SceneError, RankError) as error:
         card = card_of(model)
         warned = (*card.warnings, f"matrix not measured: {error}")
@@ -131,10 +150,12 @@ def _learned(scene: Scene, data: Snapshots, test: Snapshots, kept: Path) -> Equi
 
 def sweep_row(model: EquivariantModel, steps: int) -> OrderRow:
     """The model as a row of the sweep; its price is the least of three roll-outs of the charges."""
-    times = []
+    times, start = [], model.z_start
+    if start is None:
+        raise DataError("this model has no start; cs.reduce keeps one")
     for _ in range(4):
         began = time.perf_counter()
-        model.simulate_commands(model.z_start, np.ones(steps), np.zeros(steps))
+        model.simulate_commands(start, np.ones(steps), np.zeros(steps))
         times.append(time.perf_counter() - began)
     card = card_of(model)
     row = card.held_out["cells"]
@@ -152,10 +173,10 @@ def sweep_row(model: EquivariantModel, steps: int) -> OrderRow:
 
 def _loop(
     scene: Scene, model: EquivariantModel, main: Trajectory
-) -> tuple[Trajectory | None, dict[str, float], dict[str, Any]]:
+) -> tuple[Trajectory | None, ClockedLoop | NotThere]:
     polarity = scene.find(Polarity)
     if polarity is None:
-        return None, {}, {"why_not": "the scene has no polarity effect"}
+        return None, NotThere("the scene has no polarity effect")
     try:
         port = model.representation.port
         record = read_records(snapshots([main]), model.dt, port, model.sites)[0]
@@ -168,18 +189,19 @@ def _loop(
         t = model.dt * np.arange(record.steps + 1)
         run = loop.simulate(t)
     except CellsysError as error:
-        return None, {}, {"why_not": str(error)}
+        return None, NotThere(str(error))
     every = main.stride(model.dt)
     true = np.asarray(main.polarities)[: len(t) * every : every, 0][: len(t)]
     angle = heading_error_deg(run.polarities[:, 0], true)
-    gap = {"rms": float(np.sqrt(np.mean(angle**2))), "end": float(angle[-1])}
-    return run, gap, {"heading_error_deg": gap, **_margins(loop)}
+    gap = HeadingError(float(np.sqrt(np.mean(angle**2))), float(angle[-1]))
+    found, why = _margins(loop)
+    return run, ClockedLoop(gap, found, why)
 
 
-def _margins(loop: ScheduledLoop) -> dict[str, Any]:
+def _margins(loop: ScheduledLoop) -> tuple[dict[str, object] | None, str | None]:
     try:
         point = loop.linearize(slower_than=1.0 / loop.model.horizon)
         found = margins(loop.open_loop(point))
     except CellsysError as error:
-        return {"margins": None, "why_no_margins": str(error)}
-    return {"margins": margin_table(found), "why_no_margins": None}
+        return None, str(error)
+    return margin_table(found), None

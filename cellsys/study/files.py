@@ -25,7 +25,7 @@ def save_run(run: Trajectory, path: Path, more: Mapping[str, np.ndarray] | None 
     save_archive(path, "run", 1, arrays, described)
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Plain values; inf and NaN as strings, which JSON has no numbers for."""
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}

@@ -12,7 +12,7 @@ import numpy as np
 from cellsys.accuracy.measures import motion
 from cellsys.errors import IntegrationError, SceneError
 from cellsys.observe.read_outs import read_out_errors, read_outs
-from cellsys.scene.build import build
+from cellsys.scene.build import build, spreading
 from cellsys.scene.ensemble import run_scene
 from cellsys.scene.scene import Scene
 from cellsys.scene.timing import time_shares
@@ -95,7 +95,7 @@ def leave_one_out(
     if duration is not None:
         scene = dataclasses.replace(scene, duration=duration)
     tell = progress if progress is not None else lambda stage, share: None
-    shares = time_shares(build(scene), scene.step, min(20.0, scene.duration), scene.seed)
+    shares = time_shares(spreading(build(scene)), scene.step, min(20.0, scene.duration), scene.seed)
     whole, took = _timed(scene)
     names = list(scene.effects)
     tell("runs without", 1.0 / (len(names) + 1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -128,7 +128,7 @@ def _price(model: ReducedModel, test: Snapshots) -> float:
     return min(times)
 
 
-def margin_table(m: Margins) -> dict[str, Any]:
+def margin_table(m: Margins) -> dict[str, object]:
     """Margins of a polarity loop cut at kappa, as ``summary.json`` holds them."""
     table = m.table()
     return {"gain_margin_on_kappa": table.pop("gain_margin"), **table}

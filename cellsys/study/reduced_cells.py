@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -18,9 +17,11 @@ from cellsys.mechanics.effects.steering import Polarity, StiffnessSensing
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.observe import heading_error_deg
 from cellsys.population import FieldSensor, LoadPorts, couple
+from cellsys.population.ported.equivariant_cells import EquivariantCells
 from cellsys.scene import Scene
 from cellsys.scene.parts import CellScene
 from cellsys.shown import Shown
+from cellsys.study.summary import ReducedSummary
 from cellsys.trajectory import Trajectory, cell_names
 
 MATRIX = "matrix.displacement"
@@ -54,17 +55,17 @@ class ReducedCells(Shown):
     heading: float
     steered: bool
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> ReducedSummary:
         """For ``summary.json``."""
-        return {
-            "error_on_cells": self.cells,
-            "error_on_matrix": self.matrix,
-            "error_of_superposed_cells_alone": self.superposed,
-            "heading_rms_deg": self.heading,
-            "steered": self.steered,
-            "seconds": self.latent.statistics["wall_time"],
-            "events": [list(e) for e in self.latent.events],
-        }
+        return ReducedSummary(
+            error_on_cells=self.cells,
+            error_on_matrix=self.matrix,
+            error_of_superposed_cells_alone=self.superposed,
+            heading_rms_deg=self.heading,
+            steered=self.steered,
+            seconds=self.latent.statistics["wall_time"],
+            events=self.latent.events,
+        )
 
     def verdict(self) -> str:
         """One sentence."""
@@ -146,6 +147,8 @@ def reduced_cells(
         controller=law,
         sensor=sensor,
     )
+    if not isinstance(cells, EquivariantCells):
+        raise ParameterError(f"cells on one matrix cannot be run as {type(cells).__name__}")
     t = run.t[marks]
     amplitude, heading = _followed(scene, t)
     found = cells.simulate(t, amplitude=amplitude, heading=None if steered else heading)

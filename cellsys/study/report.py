@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from cellsys.errors import DataError
 from cellsys.figures import (
     bode,
     cell_from_above,
@@ -21,18 +22,23 @@ from cellsys.figures import (
     sheet,
 )
 from cellsys.mechanics.spreading import SpreadingSystem
+from cellsys.model.card import card_of
 from cellsys.response.certainty import side
 from cellsys.store import write_text
 from cellsys.study.fields import draw_displacement
 from cellsys.study.html import STYLE, image, table
 from cellsys.study.measure import read_out_name, texts
 from cellsys.study.measure import short_number as short
+from cellsys.study.result import StudyResult
+from cellsys.study.summary import ClockedLoop, EquivariantSummary
 
 
-def write_figures(result: Any, system: SpreadingSystem, folder: Path) -> dict[str, Path]:
+def write_figures(result: StudyResult, system: SpreadingSystem, folder: Path) -> dict[str, Path]:
     """Draw every figure of the report; returns name -> file."""
     drawn: dict[str, Path] = {}
     run, mesh, disc = result.run, system.cells[0].body.membrane, system.matrix
+    if disc is None or result.scene.matrix is None:
+        raise DataError("this report is of a cell on a matrix, and the scene has none")
     x, u = run.block("cell1.position"), run.block("matrix.displacement")
 
     figure, axes = sheet((10, 8), 2, 2, heights=(2.2, 1))
@@ -50,7 +56,7 @@ def write_figures(result: Any, system: SpreadingSystem, folder: Path) -> dict[st
     large = max((m for n, m in result.models if n == "PCR"), default=small.order)
     figure, axes = sheet((10, 4.4), 1, 2)
     pole_map(np.asarray(result.poles), axes[0], spread=result.poles.error_bound)
-    pole_map(result.models["PCR", large].poles(), axes[1])
+    pole_map(np.asarray(result.models["PCR", large].pole_set()), axes[1])
     for ax, order in zip(axes, (small.order, large), strict=True):
         ax.set_title(f"PCR, m = {order}")
     drawn["pole_map"] = save_png(figure, folder / "pole_map.png")
@@ -66,7 +72,9 @@ def write_figures(result: Any, system: SpreadingSystem, folder: Path) -> dict[st
         figure.suptitle("Return ratio of the polarity loop, cut at kappa")
         drawn["bode"] = save_png(figure, folder / "bode.png")
         figure, ax = sheet((8, 4.2))
-        shown = {"full order": run, f"reduced, m = {small.order}": result.reduced}
+        shown = {"full order": run}
+        if result.reduced is not None:
+            shown[f"reduced, m = {small.order}"] = result.reduced
         if result.equivariant.run is not None:
             shown["equivariant"] = result.equivariant.run
         headings(shown, ax)
@@ -88,16 +96,16 @@ def _lasts(rate: float, bound: float) -> str:
     return {-1: short(-1.0 / rate) if rate else "", 1: "grows"}.get(where, "not decided")
 
 
-def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
+def write_report(result: StudyResult, figures: dict[str, Path], path: Path) -> None:
     """One HTML file with every figure inside, the card and the verdict."""
-    summary, card = result.summary, result.model.card
+    told, card = result.told, card_of(result.model)
     verdict = html.escape(card.verdict)
     bounds = result.poles.note or "+-: rounding; the data are too few to leave some out"
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
         f"<title>{html.escape(result.scene.name)}</title><style>{STYLE}</style></head><body>",
         f"<h1>{html.escape(result.scene.name)}</h1>",
-        f"<p class='trust'><b>{html.escape(summary['trust'])}</b></p>",
+        f"<p class='trust'><b>{html.escape(told.trust)}</b></p>",
         "<h2>The cell on its matrix</h2>",
         image(figures["cell_and_matrix"], "cell and matrix, before and after"),
         table(
@@ -107,24 +115,24 @@ def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
         image(figures["displacement_field"], "displacement field of the matrix"),
         "<p class='note'>Share of the rates that the stepping leaves over: "
         + ", ".join(
-            f"{html.escape(k)} {100 * v:.2g} %" for k, v in summary["step_residual_share"].items()
+            f"{html.escape(k)} {100 * v:.2g} %" for k, v in told.step_residual_share.items()
         )
         + ".</p>",
         f"<h2>Poles of the reduced model</h2><p>{verdict}</p>",
-        f"<p>{html.escape(summary['why_lower_order'])}</p>" if summary["why_lower_order"] else "",
+        f"<p>{html.escape(told.why_lower_order)}</p>" if told.why_lower_order else "",
         image(figures["pole_map"], "pole maps"),
         f"<p class='note'>Circles: how certain each pole is ({html.escape(bounds)}). "
-        f"Stability: {html.escape(summary['stability']['verdict'])}"
-        f" ({html.escape(summary['stability']['reason'])}).</p>",
+        f"Stability: {html.escape(told.stability.verdict)}"
+        f" ({html.escape(told.stability.reason)}).</p>",
         table(
             ("pole (1/s)", "certainty (1/s)", "time constant (s)"),
             [
                 (
-                    f"{p['real']:.3g} {p['imag']:+.3g}j",
-                    short(p["bound"], 2),
-                    _lasts(p["real"], p["bound"]),
+                    f"{p.real:.3g} {p.imag:+.3g}j",
+                    short(p.bound, 2),
+                    _lasts(p.real, p.bound),
                 )
-                for p in summary["poles"]
+                for p in told.poles
             ],
         ),
         "<h2>The polarity loop</h2>",
@@ -156,18 +164,16 @@ def write_report(result: Any, figures: dict[str, Path], path: Path) -> None:
     write_text(path, "\n".join(parts))
 
 
-def _loop_part(result: Any, figures: dict[str, Path], verdict: str) -> list[str]:
-    loop = result.summary["loop"]
-    if result.margins is None:
-        return [f"<p>No loop: {html.escape(str(loop['why_not']))}.</p>"]
-    m = result.margins
+def _loop_part(result: StudyResult, figures: dict[str, Path], verdict: str) -> list[str]:
+    loop, m = result.told.loop, result.margins
+    error, sensor = loop.heading_error_deg, loop.sensor_error_deg
+    if m is None or error is None or sensor is None:
+        return [f"<p>No loop: {html.escape(str(loop.why_not))}.</p>"]
     at = [
         short(w)
         for w in (m.gain_margin_frequency, m.phase_margin_frequency, m.delay_margin_frequency)
     ]
-    sensor = loop["sensor_error_deg"]
     stable = "stable" if m.closed_loop_stable else "not stable: read the margins as distances"
-    error = loop["heading_error_deg"]
     return [
         image(figures["bode"], "Bode plot of the return ratio"),
         table(
@@ -178,39 +184,46 @@ def _loop_part(result: Any, figures: dict[str, Path], verdict: str) -> list[str]
                 ("delay margin of the loop (s)", short(m.delay_margin), at[2]),
             ],
         ),
-        f"<p class='note'>Closed loop {stable}. {html.escape(loop['linearisation'])}. "
+        f"<p class='note'>Closed loop {stable}. {html.escape(str(loop.linearisation))}. "
         f"{verdict}</p>",
         image(figures["polarity"], "polarity against time"),
-        f"<p class='note'>Heading error of the reduced loop: {error['rms']:.3g} deg rms, "
-        f"{error['end']:.3g} deg at the end. Sensor: {short(sensor['held_out'])} deg held out, "
-        f"{short(sensor['constant_direction'])} deg for the best constant direction.</p>",
+        f"<p class='note'>Heading error of the reduced loop: {error.rms:.3g} deg rms, "
+        f"{error.end:.3g} deg at the end. Sensor: {short(sensor.held_out)} deg held out, "
+        f"{short(sensor.constant_direction)} deg for the best constant direction.</p>",
     ]
 
 
-def _equivariant_part(result: Any, figures: dict[str, Path]) -> list[str]:
+def _equivariant_part(result: StudyResult, figures: dict[str, Path]) -> list[str]:
     study = result.equivariant
-    if study.model is None:
+    told = study.told
+    if study.model is None or not isinstance(told, EquivariantSummary):
         return [f"<p>No equivariant model: {html.escape(str(study.why_not))}.</p>"]
-    loop = study.table["loop"]
     heading = ""
-    if study.heading_error:
+    if isinstance(told.loop, ClockedLoop):
         heading = (
-            f"Its polarity loop stays {study.heading_error['rms']:.3g} deg rms from the full-order "
-            "loop's heading. "
+            f"Its polarity loop stays {told.loop.heading_error_deg.rms:.3g} deg rms from the "
+            "full-order loop's heading. "
         )
-    if loop.get("margins"):
-        m = loop["margins"]
-        heading += (
-            f"Margins of that loop at its end: gain {short(m['gain_margin_on_kappa'])} on kappa, "
-            f"phase {short(m['phase_margin_deg'])} deg, delay {short(m['delay_margin_s'])} s."
-        )
-    elif loop.get("why_no_margins"):
-        heading += f"No margins: {html.escape(loop['why_no_margins'])}."
+        m = told.loop.margins
+        if m is not None:
+            heading += (
+                f"Margins of that loop at its end: gain {_told(m, 'gain_margin_on_kappa')} on "
+                f"kappa, phase {_told(m, 'phase_margin_deg')} deg, delay "
+                f"{_told(m, 'delay_margin_s')} s."
+            )
+        elif told.loop.why_no_margins:
+            heading += f"No margins: {html.escape(told.loop.why_no_margins)}."
+    card = card_of(study.model)
     return [
-        f"<p>{html.escape(study.model.card.verdict)}</p>",
+        f"<p>{html.escape(card.verdict)}</p>",
         image(figures["charges"], "poles by charge"),
         "<p class='note'>Poles frozen at the end of the training runs. Charge 0 is spreading and "
         "contraction, 1 translation and polarity, 2 elongation. Every pole of a charge above 0 "
         f"occurs twice in the real plant. {heading}</p>",
-        f"<pre>{html.escape(str(study.model.card))}</pre>",
+        f"<pre>{html.escape(str(card))}</pre>",
     ]
+
+
+def _told(margins: Mapping[str, object], name: str) -> str:
+    value = margins[name]
+    return short(value if isinstance(value, (int, float)) else None)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,92 +24,37 @@ from cellsys.model.card import card_of
 from cellsys.observe import heading_error_deg, summary_of_run
 from cellsys.reduction import PCR, LeastSquares
 from cellsys.reduction.basis import check_order
-from cellsys.response import Margins, RootSet, margins, stability
+from cellsys.response import Margins, margins, stability
 from cellsys.samples import Snapshots, snapshots
 from cellsys.scene import Scene, build, load_scene, run_ensemble, training_scenes
-from cellsys.shown import Shown
+from cellsys.scene.build import spreading
 from cellsys.store import discard_partial, write_json
 from cellsys.study.coordinates import learn_coordinates
-from cellsys.study.equivariant import EquivariantStudy, study_equivariant, sweep_row
+from cellsys.study.equivariant import study_equivariant, sweep_row
 from cellsys.study.files import plain, save_run
 from cellsys.study.floors import floor_scenes, measured_floors
-from cellsys.study.measure import OrderSweep, margin_table, read_out_name, sweep_orders, texts
+from cellsys.study.measure import margin_table, sweep_orders
+from cellsys.study.result import StudyResult
+from cellsys.study.summary import (
+    HeadingError,
+    LoopSummary,
+    PoleRow,
+    SensorError,
+    StudySummary,
+    Verdict,
+    table_of,
+)
 from cellsys.trajectory import Trajectory
 from cellsys.worth.assessment import encode_start
 
 if TYPE_CHECKING:
+    from control import StateSpace
+
     from cellsys.study.cells import CellsStudy
     from cellsys.study.crawler import CrawlerStudy
 
 ORDERS = (5, 10, 20, 50, 100)
 Progress = Callable[[str, float], None]
-
-
-@checked
-@dataclass(frozen=True, eq=False, kw_only=True)
-class StudyResult(Shown):
-    """What `study` computed; everything the report shows.
-
-    Attributes
-    ----------
-    run : Trajectory
-        The scene itself, full-order.
-    models : mapping of (method, order) to ReducedModel
-    model : LatentModel
-        The plant of the loop: PCR at the order of the Bode plot.
-    sweep : OrderSweep
-    poles : RootSet
-        Of the plant, 1/s, with the larger of the bounds of rounding and data.
-    loop, reduced, linear, margins
-        Closed loop, its simulation, linearisation and margins on kappa; None without polarity.
-    summary : mapping
-        What ``summary.json`` holds.
-    out : Path
-    equivariant : EquivariantStudy
-        The equivariant model and its loop, or why there is none.
-    """
-
-    scene: Scene
-    run: Trajectory
-    models: Mapping[tuple[str, int], ReducedModel]
-    model: LatentModel
-    sweep: OrderSweep
-    poles: RootSet
-    loop: ClosedLoop | None
-    reduced: Trajectory | None
-    linear: Linearisation | None
-    margins: Margins | None
-    magnitudes: Mapping[str, float]
-    summary: Mapping[str, Any]
-    out: Path
-    equivariant: EquivariantStudy
-
-    def __str__(self) -> str:
-        return str(self.summary["trust"])
-
-    def report(self) -> str:
-        """The study in words and tables, for a terminal."""
-        lines = [str(self.run), ""]
-        told = texts(self.magnitudes).items()
-        lines += [f"  {read_out_name(k):34s} {v}" for k, v in told]
-        lines += ["", f"poles of the reduced model (PCR, m = {self.model.order}), 1/s:"]
-        if self.summary["why_lower_order"]:
-            lines.append(f"  ({self.summary['why_lower_order']})")
-        for pole, bound in zip(np.asarray(self.poles), self.poles.error_bound, strict=True):
-            lines.append(f"  {pole.real: .3e} {pole.imag:+.3e}j   +- {bound:.1e}")
-        stable = self.summary["stability"]
-        lines += [f"  {stable['verdict']}: {stable['reason']}", ""]
-        if self.margins is None:
-            lines.append(f"no polarity loop: {self.summary['loop']['why_not']}")
-        else:
-            lines += [
-                "polarity loop, cut at kappa:",
-                *(f"  {m}" for m in str(self.margins).split("\n")),
-            ]
-        lines += ["", str(self.sweep)]
-        lines.append(f"  full-order model: {self.sweep.full_order_s:.3g} s for the same run")
-        lines += ["", *self.equivariant.lines()]
-        return "\n".join([*lines, "", str(self)])
 
 
 @checked
@@ -223,8 +167,9 @@ def study(
     plant = dataclasses.replace(plant, card=dataclasses.replace(card_of(plant), floors=floors))
     say("equivariant", 1.0)
 
-    system = build(scene)
-    magnitudes = summary_of_run(main, system.matrix.position) | {
+    system = spreading(build(scene))
+    rest = None if system.matrix is None else system.matrix.position
+    magnitudes = summary_of_run(main, rest) | {
         "position_error_um": main.error_of("cell1.position"),
         "matrix_error_um": main.error_of("matrix.displacement"),
     }
@@ -234,25 +179,25 @@ def study(
     if charges.model is not None:
         trust = f"the equivariant model: {card_of(charges.model).verdict} {trust}"
     trust = f"What these models can be trusted for: {trust}"
-    summary = {
-        "scene": scene.name,
-        "fingerprint": scene.fingerprint(),
-        "magnitudes": magnitudes,
-        "step_residual_share": main.residual_share(),
-        "card": card_of(plant).table(),
-        "poles": [
-            {"real": float(p.real), "imag": float(p.imag), "bound": float(b)}
+    told = StudySummary(
+        scene=scene.name,
+        fingerprint=scene.fingerprint(),
+        magnitudes=magnitudes,
+        step_residual_share=main.residual_share(),
+        card=card_of(plant).table(),
+        poles=tuple(
+            PoleRow(float(p.real), float(p.imag), float(b))
             for p, b in zip(np.asarray(poles), poles.error_bound, strict=True)
-        ],
-        "stability": {"verdict": plant_report.verdict, "reason": plant_report.reason},
-        "margins": None if loop_margins is None else margin_table(loop_margins),
-        "loop": _loop_table(plant, main, reduced, linear, why),
-        "orders": [dataclasses.asdict(row) for row in sweep.rows],
-        "full_order_s": full_s,
-        "why_lower_order": why_lower,
-        "equivariant": charges.table,
-        "trust": trust,
-    }
+        ),
+        stability=Verdict(plant_report.verdict, plant_report.reason),
+        margins=None if loop_margins is None else margin_table(loop_margins),
+        loop=_loop_summary(plant, main, reduced, linear, why),
+        orders=sweep.rows,
+        full_order_s=full_s,
+        why_lower_order=why_lower,
+        equivariant=charges.told,
+        trust=trust,
+    )
     result = StudyResult(
         scene=scene,
         run=main,
@@ -265,15 +210,15 @@ def study(
         linear=linear,
         margins=loop_margins,
         magnitudes=magnitudes,
-        summary=summary,
+        told=told,
         out=folder,
         equivariant=charges,
     )
     _write(result, system, data, say)
     say("report", 1.0)
-    summary["wall_time_s"] = time.perf_counter() - began
-    write_json(folder / "summary.json", plain(summary))
-    return result
+    told = dataclasses.replace(told, wall_time_s=time.perf_counter() - began)
+    write_json(folder / "summary.json", plain(table_of(told)))
+    return dataclasses.replace(result, told=told)
 
 
 def _check(scene: Scene, order: int | None, folder: Path) -> None:
@@ -293,7 +238,7 @@ def _check(scene: Scene, order: int | None, folder: Path) -> None:
         )
 
 
-def plant_of(model: AffineModel) -> Any:
+def plant_of(model: AffineModel) -> StateSpace:
     """The model's plant, continuous where it has a continuous form, else with its own step."""
     try:
         return model.plant()
@@ -343,29 +288,21 @@ def _loop(
         return None, None, None, None, str(error)
 
 
-def _loop_table(
+def _loop_summary(
     model: LatentModel,
     main: Trajectory,
     reduced: Trajectory | None,
     linear: Linearisation | None,
     why: str | None,
-) -> dict[str, Any]:
-    sensor = model.sensor
-    table: dict[str, Any] = {"why_not": why}
+) -> LoopSummary:
+    sensor, sensed, heading, text = model.sensor, None, None, None
     if sensor is not None:
-        table["sensor_error_deg"] = {
-            "training": sensor.training_error,
-            "held_out": sensor.held_out_error,
-            "constant_direction": sensor.constant_error,
-        }
+        sensed = SensorError(sensor.training_error, sensor.held_out_error, sensor.constant_error)
     if reduced is not None and linear is not None:
         gap = heading_error_deg(reduced.polarities[:, 0], np.asarray(main.polarities)[:, 0])
-        table["heading_error_deg"] = {
-            "rms": float(np.sqrt(np.mean(gap**2))),
-            "end": float(gap[-1]),
-        }
-        table["linearisation"] = str(linear)
-    return table
+        heading = HeadingError(float(np.sqrt(np.mean(gap**2))), float(gap[-1]))
+        text = str(linear)
+    return LoopSummary(why, sensed, heading, text)
 
 
 def _write(result: StudyResult, system: SpreadingSystem, data: Snapshots, say: Progress) -> None:

@@ -287,7 +287,8 @@ def assess(
         encoded = encode_all(model, data, test) if encoded is None else encoded
         training = errors(model, data, encoded[0])
         if test is not None:
-            held_out = errors(model, test, encoded[1], repeated)
+            held = encoded[1] or Encoded.of(model, test, data)
+            held_out = errors(model, test, held, repeated)
     abscissa, growth = model.growth(), fastest_growth(model.pole_set())
     return Card(
         order=model.order,

@@ -119,7 +119,7 @@ class FibreElement(Element):
         self._assembly: StiffnessAssembly | None = None
         # Share of each fibre that is left, set by an effect that takes some away.
         self.intact: Callable[[Configuration], np.ndarray] | None = None
-        self.sensed = False  # whether a cell reads the nodal measures, which are then stored
+        self.is_read = False  # whether a cell reads the nodal measures, which are then stored
 
     def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
         d = self.disc
@@ -159,7 +159,7 @@ class FibreElement(Element):
 
     def measure(self, s: Configuration) -> dict[str, np.ndarray]:
         """The nodal measures, where a cell senses; nothing is stored that nobody reads."""
-        return self.nodal(s) if self.sensed else {}
+        return self.nodal(s) if self.is_read else {}
 
     def nodal(self, s: Configuration) -> dict[str, np.ndarray]:
         """Tensile ``virial`` (N,), pN um, and tangent ``stiffness`` (N,), pN/um, at the nodes."""

@@ -287,6 +287,10 @@ class Element:
         """Read-outs of one cell stored with each sample: ``p``, ``d`` (3,), ``amplitude``."""
         return {}
 
+    def sensed(self, s: Configuration) -> np.ndarray | None:
+        """Direction (3,) that the element senses; None where it senses nothing."""
+        return None
+
     def measure(self, s: Configuration) -> dict[str, np.ndarray]:
         """Nodal measures stored with each sample, such as ``virial`` (n_nodes,)."""
         return {}

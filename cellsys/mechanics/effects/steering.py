@@ -255,7 +255,7 @@ def polarity_element(site: Site) -> PolarityElement:
     """The polarity of the site's cell, which all effects that steer it share."""
     fibres = next((e for e in site.built if isinstance(e, FibreElement)), None)
     if fibres is not None and "stiffness_sensing" in site.effects:
-        fibres.sensed = True
+        fibres.is_read = True
     return PolarityElement(
         site.body,
         site.commanded,
