@@ -1,4 +1,4 @@
-"""What the objects behind the contracts answer: a solution, a run, errors, flags, poles.
+"""What objects behind the contracts answer: a solution, a run, errors, flags, poles.
 
 An object of your own may answer with anything that has these parts.
 """

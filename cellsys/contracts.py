@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar, runtime_che
 
 import numpy as np
 
-from cellsys.answers import DistinctPoles, Measured, OutsideRange, SteppedRun, WholeSolution
+from cellsys.answers import (
+    DistinctPoles,
+    Measured,
+    OutsideRange,
+    SteppedRun,
+    WholeSolution,
+)
 from cellsys.arguments import needs
 from cellsys.linear_systems import LinearSystem, StateSpaceLike, TransferFunctionLike
 from cellsys.system import Layout, Matrix, OdeSystem
