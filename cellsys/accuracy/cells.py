@@ -5,14 +5,16 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Mapping, Sequence
+from typing import TypeGuard
 
 import numpy as np
 
 from cellsys.accuracy.axes import CostAxis, CostRow
 from cellsys.arguments import checked
 from cellsys.cell import CellsOnField, EquivariantModel
-from cellsys.contracts import SteppedField
+from cellsys.contracts import MatrixField, SteppedField
 from cellsys.errors import ParameterError
+from cellsys.kinds import kind_of
 from cellsys.mechanics.commands import History
 from cellsys.scene import Scene
 from cellsys.trajectory import Trajectory
@@ -59,7 +61,7 @@ def step_commands(scene: Scene, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @checked
 def cells_cost(
     models: Sequence[EquivariantModel],
-    field: SteppedField,
+    field: MatrixField,
     scene: Scene,
     truth: Trajectory,
     full_order: Mapping[str, Trajectory] | None = None,
@@ -93,6 +95,8 @@ def cells_cost(
     -----
     Errors: rms difference over rms motion, of all cells' nodes and of the matrix.
     """
+    if not _steps(field):
+        raise ParameterError(f"field{kind_of(SteppedField).fault(field)}")
     K = len(scene.cells)
     names = [f"cell{k + 1}.position" for k in range(K)]
     matrix = "matrix.displacement"
@@ -127,6 +131,10 @@ def cells_cost(
         rows.append(CostRow(name, float(run.statistics["wall_time"]), errors))
     span = truth.t[-1] - truth.t[0]
     return CostAxis(f"{K} cells, {span:g} s", tuple(rows))
+
+
+def _steps(field: MatrixField) -> TypeGuard[SteppedField]:
+    return kind_of(SteppedField).fault(field) is None
 
 
 def _missed(found: np.ndarray, rest: np.ndarray, truth: np.ndarray) -> float:

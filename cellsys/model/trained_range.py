@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
 from cellsys.arguments import checked
-from cellsys.contracts import ReducedModel
 from cellsys.errors import DataError, DimensionError
 from cellsys.shown import Shown
 
@@ -36,6 +36,18 @@ class Flag(Shown):
 def beginnings(outside: np.ndarray) -> np.ndarray:
     """Indices at which runs of True begin."""
     return np.flatnonzero(outside & ~np.concatenate([[False], outside[:-1]]))
+
+
+class WithNotes(Protocol):
+    """A model with notes, such as one made by cs.reduce."""
+
+    @property
+    def order(self) -> int:
+        """Number of latent states."""
+
+    @property
+    def notes(self) -> Mapping[str, Any] | None:
+        """What else is known of it."""
 
 
 @checked
@@ -76,7 +88,7 @@ class TrainedRange:
         )
 
     @classmethod
-    def kept(cls, model: ReducedModel) -> TrainedRange:
+    def kept(cls, model: WithNotes) -> TrainedRange:
         """The range that `reduce` kept with a model.
 
         Raises
