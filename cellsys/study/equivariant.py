@@ -39,6 +39,7 @@ from cellsys.study.summary import (
     NotThere,
 )
 from cellsys.trajectory import Trajectory
+from cellsys.units import real_number
 from cellsys.version import __version__
 
 ORDER = 50
@@ -119,7 +120,7 @@ def study_equivariant(
         poles=tuple(
             ChargedPole(p.value.real, p.value.imag, p.charge) for p in model.labelled_poles()
         ),
-        fit_seconds=model.notes["fit_seconds"],
+        fit_seconds=real_number(model.notes["fit_seconds"], "fit_seconds"),
         loop=loop,
     )
     return EquivariantStudy(model=model, run=run, told=told)
