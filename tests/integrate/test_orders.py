@@ -97,8 +97,10 @@ def test_rkc_goes_far_beyond_the_explicit_limit():
 
 
 def test_rkc_needs_a_largest_step_where_a_system_changes_between_steps():
-    system = Springs()
-    object.__setattr__(system, "discrete", True)
+    class Remeshed(Springs):
+        discrete = True
+
+    system = Remeshed()
     with pytest.raises(ParameterError, match="largest_step"):
         simulate(system, RKC(rtol=1e-3, atol=1e-3), np.array([0.0, 1.0]))
 

@@ -308,7 +308,7 @@ def test_sparse_cholesky_of_the_disc_agrees_with_superlu_and_stores_half():
     system = clutch()
     x = system.x0
     (block,) = (b for b in system.majorant(0.0, x, 0.5) if b.name == "matrix.xyz coupled")
-    moving = np.isfinite(system.drag()[block.index[:, 0]])
+    moving = np.isfinite(system.drag()[block.entries[:, 0]])
     matrix = sp.csc_array((block.matrix() + 2000.0 * sp.eye_array(len(moving)))[moving][:, moving])
     rhs = np.random.default_rng(0).standard_normal(matrix.shape[0])
     solve = block.factor(matrix)

@@ -21,14 +21,14 @@ def bound(system, t, x):
     M, covered = np.zeros((n, n)), np.zeros(n, int)
     for block in system.majorant(t, x, DT):
         matrix = block.matrix().toarray()
-        for column in block.index.T:
+        for column in block.entries.T:
             M[np.ix_(column, column)] += matrix
             covered[column] += 1
     nodes = system.drag() > 0
     assert np.all(covered[nodes] == 1)  # together the blocks cover every node state once
     assert not covered[~nodes].any()
     for item in system.low_rank(t, x):
-        M[np.ix_(item.index, item.index)] += item.stiffness * np.outer(
+        M[np.ix_(item.entries, item.entries)] += item.stiffness * np.outer(
             item.direction, item.direction
         )
     return M
@@ -83,11 +83,11 @@ def test_majorant_bounds_the_tangent_until_the_next_look(name):
         # The stepper renews the pressure direction at every step.
         for item in system.low_rank(run.t[use], later):
             fresh = np.zeros(system.states.size)
-            fresh[item.index] = item.direction
+            fresh[item.entries] = item.direction
             M += item.stiffness * np.outer(fresh[free], fresh[free])
         for item in system.low_rank(run.t[look], x):
             stale = np.zeros(system.states.size)
-            stale[item.index] = item.direction
+            stale[item.entries] = item.direction
             M -= item.stiffness * np.outer(stale[free], stale[free])
         K = tangent(system, run.t[use], later, free)
         K = 0.5 * (K + K.T)

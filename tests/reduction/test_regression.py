@@ -265,6 +265,12 @@ def test_tol_gives_the_smallest_order_that_meets_it():
         )
     with pytest.raises(ParameterError, match="tol"):
         reduce(data, tol=0.0)
+    # Fewer samples than columns: with their mean taken out, all but one of them span the rest.
+    few = one_step_data(seed=7, runs=1, T=6)
+    assert few.n_samples < few.n_columns
+    with pytest.raises(ParameterError, match="tol"):
+        reduce(few, tol=1e-300)
+    assert reduce(few, tol=1e-14).order == few.n_samples - 1
 
 
 @pytest.mark.parametrize("options", [{}, {"order": 2, "tol": 0.1}])

@@ -84,7 +84,9 @@ def test_bode_in_two_axes_and_singular_values() -> None:
     margins = response.margins(gallery.lag_chain(100, 0.5))
     upper, _ = figures.bode(margins)
     assert "2.101" in upper.get_title()
-    figures.nyquist(found)
+    # Four channels are told apart by a legend; one needs none.
+    assert len(figures.nyquist(found).get_legend().get_texts()) == 4
+    assert figures.nyquist(margins).get_legend() is None
 
 
 def test_importing_the_room_loads_nothing_heavy() -> None:
