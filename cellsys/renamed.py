@@ -49,7 +49,7 @@ MODULES: Mapping[str, str] = {
 
 
 def old_names(
-    module: str, otherwise: Callable[[str], object] | None = None
+    module: str, otherwise: Callable[[str], object] | None = None, *, frames: int = 0
 ) -> Callable[[str], object]:
     """``__getattr__`` of a module that once had other names.
 
@@ -59,22 +59,24 @@ def old_names(
         Its ``__name__``. A module of `MODULES` answers with what the new module has.
     otherwise : callable, optional
         The ``__getattr__`` that the module has already, asked for every other name.
+    frames : int
+        Calls between the line that asked for the name and the returned function.
     """
 
     def __getattr__(name: str) -> object:
         here = f"{module}.{name}"
         if here in MODULES:
-            _warn(here, MODULES[here])
+            _warn(here, MODULES[here], frames)
             return importlib.import_module(MODULES[here])
         if name in NAMES.get(module, {}):
             there = NAMES[module][name]
-            _warn(here, there)
+            _warn(here, there, frames)
             parent, _, attribute = there.rpartition(".")
             return getattr(importlib.import_module(parent), attribute)
         if module in MODULES and not name.startswith("__"):
             new = importlib.import_module(MODULES[module])
             if name in vars(new):
-                _warn(here, f"{MODULES[module]}.{name}")
+                _warn(here, f"{MODULES[module]}.{name}", frames)
                 return vars(new)[name]
         if otherwise is not None:
             return otherwise(name)
@@ -83,6 +85,6 @@ def old_names(
     return __getattr__
 
 
-def _warn(old: str, new: str) -> None:
+def _warn(old: str, new: str, frames: int) -> None:
     # 3: past `__getattr__`, to the line that asked.
-    warnings.warn(f"{old} is now {new}", DeprecationWarning, stacklevel=3)
+    warnings.warn(f"{old} is now {new}", DeprecationWarning, stacklevel=3 + frames)
