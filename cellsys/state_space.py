@@ -7,7 +7,7 @@ and with one state or one output cannot be written in it. Such a system gets one
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,4 +50,63 @@ def state_space(
         outputs=list(outputs) if outputs else None,
         name=name,
         remove_useless_states=False,
+    )
+
+
+Signals = Sequence[str]
+Formula = Callable[[float, np.ndarray, np.ndarray, Mapping[str, float]], np.ndarray]
+
+
+def block(
+    name: str,
+    inputs: Signals,
+    outputs: Signals,
+    output: Formula | None,
+    *,
+    states: Signals = (),
+    update: Formula | None = None,
+    dt: float | None = None,
+    params: Mapping[str, float] | None = None,
+) -> control.NonlinearIOSystem:
+    """A `control.NonlinearIOSystem` with named signals.
+
+    Parameters
+    ----------
+    output, update : callable
+        ``f(t, x, u, params)`` (p,) and dx/dt, or the state a step later, (n,); without `update` a
+        block that has no state, without `output` one whose outputs are its states.
+    dt : float or None
+        s; 0 continuous, None what the others in the diagram have.
+    """
+    import control
+
+    return control.nlsys(
+        update,
+        output,
+        inputs=list(inputs),
+        outputs=list(outputs),
+        states=list(states) if states else None,
+        dt=dt,
+        name=name,
+        params=dict(params or {}),
+    )
+
+
+def joined(
+    name: str,
+    blocks: Sequence[control.NonlinearIOSystem],
+    outputs: Signals,
+    inputs: Signals = (),
+) -> control.InterconnectedSystem:
+    """The diagram of these blocks: an input is fed by the output of its name.
+
+    Parameters
+    ----------
+    outputs, inputs : sequence of str
+        What the whole shows, and what it takes from outside.
+    """
+    import control
+
+    return control.interconnect(
+        list(blocks), inputs=list(inputs), outputs=list(outputs), name=name
     )

@@ -34,7 +34,8 @@ from cellsys.integrate.symbolic import CVODES
 from cellsys.kinds import shown
 from cellsys.laws.arrays import Vector, operations
 from cellsys.laws.polarity import heading_features
-from cellsys.loop.loop_system import ClosedLoopSystem, model_error, semilinear_of
+from cellsys.loop.blocks import loop_diagram
+from cellsys.loop.loop_system import ClosedLoopSystem, model_error, semilinear_of, sensed_rows
 from cellsys.loop.modal import set_apart_text, split_slow
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.model.poles import KnowsCertainty
@@ -46,7 +47,7 @@ from cellsys.trajectory import Trajectory
 from cellsys.units import real_array
 
 if TYPE_CHECKING:
-    from control import StateSpace
+    from control import InterconnectedSystem, StateSpace
 
 
 @checked
@@ -294,6 +295,22 @@ class ClosedLoop:
             inputs=["v"],
             outputs=["y"],
             name="return_ratio_kappa",
+        )
+
+    def interconnect(self) -> InterconnectedSystem:
+        """The loop as a diagram of python-control: plant, controller, commands and sensor.
+
+        Blocks are `model.plant()`, `controller.block()` and the sensor; an input is fed by the
+        output of its name (p_x, d_x, z[i], the commands, ``one``), and nothing comes from outside.
+        Started from ``system.x0`` (z, then p) its ``control.input_output_response`` is `simulate`,
+        to the tolerance of both integrators; outputs are z, p and d.
+        """
+        return loop_diagram(
+            self.model.plant(),
+            self.controller.block(),
+            lambda z: sensed_rows(self, z),
+            lambda p: np.array([np.asarray(self.commands(row)) for row in p]),
+            order=self.order,
         )
 
     def _point(self, at: object) -> tuple[np.ndarray, np.ndarray]:

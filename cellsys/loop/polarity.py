@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,7 +13,11 @@ from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.kinds import Seed
 from cellsys.laws.arrays import Vector, is_symbolic
 from cellsys.laws.polarity import exact_step, rate
+from cellsys.loop.blocks import law_block
 from cellsys.units import real_array, real_number
+
+if TYPE_CHECKING:
+    from control import NonlinearIOSystem
 
 
 @checked
@@ -105,6 +111,25 @@ class PolarityLaw:
         if step.shape or not np.isfinite(step):
             raise DataError(f"dt is not finite, or not one number: {step!r}")
         return exact_step(self._off_antipode(p, d), d, self.kappa, float(step))
+
+    def block(
+        self, cells: Sequence[str] = ("",), *, dt: float | None = None
+    ) -> NonlinearIOSystem:
+        """The law as a block of python-control: states and outputs p_x, p_y, p_z, inputs d_x, ...
+
+        Its parameter ``kappa`` may be given to a response: ``params={"kappa": 0.03}``. A
+        continuous block is dp/dt as it stands, whatever `antiparallel`, as for any integrator.
+
+        Parameters
+        ----------
+        cells : sequence of str
+            What the signals of each cell begin with, such as ``("cell1_", "cell2_")``.
+        dt : float, optional
+            s; a block that steps exactly with d held. Default continuous.
+        """
+        if dt is not None and not (np.isfinite(dt) and dt > 0):
+            raise ParameterError(f"dt must be > 0 s, or None for a continuous block, got {dt!r}")
+        return law_block(self, cells, dt=dt)
 
     def _off_antipode(self, p: np.ndarray, d: np.ndarray) -> np.ndarray:
         if isinstance(self.antiparallel, AntiparallelStay):

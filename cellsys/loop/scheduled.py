@@ -20,6 +20,7 @@ from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.integrate.record import check_times
 from cellsys.integrate.simulate import simulate
 from cellsys.integrate.step_runs import marks_of, refuse_integrator
+from cellsys.loop.blocks import scheduled_diagram
 from cellsys.loop.closed_loop import ClosedLoop, Linearisation
 from cellsys.loop.loop_system import model_error
 from cellsys.loop.polarity import PolarityLaw
@@ -30,7 +31,7 @@ from cellsys.response import Margins, margins
 from cellsys.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from control import StateSpace
+    from control import InterconnectedSystem, StateSpace
 
 
 @checked
@@ -98,6 +99,30 @@ class ScheduledLoop:
             u=np.broadcast_to(drive, (steps,))[:, None],
             label="closed loop, equivariant",
             model_error=model_error(self.model),
+        )
+
+    def interconnect(self, *, amplitude: float | None = 1.0) -> InterconnectedSystem:
+        """The loop as a diagram of python-control, with the step of the model.
+
+        Blocks: the plant on its clock, the controller, the sensor and what the step of the
+        heading needs besides (see `scheduled_diagram`); time is that since contact. Started from
+        ``system.x0`` (z, then p) its ``control.input_output_response`` is `simulate`, step for
+        step; outputs are z, p and d.
+
+        Parameters
+        ----------
+        amplitude : float or None
+            Lamellipodium amplitude; None makes it an input ``amplitude`` of the diagram.
+        """
+        if amplitude is not None and not np.isfinite(amplitude):
+            raise DataError(f"amplitude must be finite, or None for an input, got {amplitude!r}")
+        return scheduled_diagram(
+            self.system,
+            self.controller,
+            self.sensor.direction,
+            order=self.order,
+            dt=self.model.dt,
+            amplitude=amplitude,
         )
 
     @cached_property

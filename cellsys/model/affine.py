@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.model.card import Card
 from cellsys.model.hold import hold, to_continuous
+from cellsys.model.plant import Offset, equilibrium, with_offset
 from cellsys.model.poles import certainty_of, continuous_poles, pole_set
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.model.trained_range import Flag, TrainedRange
@@ -127,13 +128,41 @@ class AffineModel(Drawable, ABC):
 
     # Control
 
+    def equilibrium(self, commands: np.ndarray | None = None) -> np.ndarray:
+        """z* (m,) at which the model stands still under these commands (n_c,), zero by default.
+
+        The one of least norm where A is singular; `DataError` where there is none.
+        """
+        return equilibrium(self.A, self.B, self.offset, commands)
+
+    @overload
     def plant(
         self,
         *,
         discrete: bool = False,
         output: np.ndarray | None = None,
         output_names: Sequence[str] | None = None,
-    ) -> StateSpace:
+        offset: Literal["input", "drop"] = "input",
+    ) -> StateSpace: ...
+
+    @overload
+    def plant(
+        self,
+        *,
+        discrete: bool = False,
+        output: np.ndarray | None = None,
+        output_names: Sequence[str] | None = None,
+        offset: Literal["shifted"],
+    ) -> tuple[StateSpace, np.ndarray]: ...
+
+    def plant(
+        self,
+        *,
+        discrete: bool = False,
+        output: np.ndarray | None = None,
+        output_names: Sequence[str] | None = None,
+        offset: Offset = "input",
+    ) -> StateSpace | tuple[StateSpace, np.ndarray]:
         """The model as `control.StateSpace` with named states, inputs and outputs.
 
         Parameters
@@ -143,13 +172,26 @@ class AffineModel(Drawable, ABC):
             `continuous_matrices`.
         output : (p, m), optional
             Output matrix; default the latent states themselves.
+        offset : {"input", "shifted", "drop"}
+            What becomes of the offset b, for which a linear system has no place. "input"
+            (default): a last input ``one``, which is 1 at all times, so that
+            ``control.forced_response(plant, t, [u; 1], z0)`` is `predict`. "shifted": states and
+            outputs are those less their values at the equilibrium z* = `equilibrium()`. "drop":
+            without b, the linear part alone: transfer from commands to differences of runs.
+
+        Returns
+        -------
+        StateSpace
+            For "shifted" the pair (plant, z*).
+
+        Raises
+        ------
+        DataError
+            "shifted" where the offset pushes an integrator: there is no equilibrium.
         """
         if discrete and self.dt is None:
             raise ParameterError("a continuous model has no step of its own; use control.c2d")
-        if discrete:
-            A, B, _ = self.step_matrices()
-        else:
-            A, B, _ = self.continuous_matrices()
+        A, B, b = self.step_matrices() if discrete else self.continuous_matrices()
         C = np.eye(self.order) if output is None else np.atleast_2d(np.asarray(output, float))
         if C.shape[1] != self.order:
             raise DimensionError(f"output must have {self.order} columns, got {C.shape}")
@@ -158,18 +200,19 @@ class AffineModel(Drawable, ABC):
             outputs = list(output_names)
         else:
             outputs = states if output is None else [f"y[{i}]" for i in range(len(C))]
-        return state_space(
+        B, inputs = with_offset(B, b, self.input_names, offset)
+        plant = state_space(
             A,
             B,
             C,
             np.zeros((len(C), B.shape[1])),
             self.dt if discrete and self.dt is not None else 0,
             states=states,
-            # control does not allow dots in signal names
-            inputs=[n.replace(".", "_") for n in self.input_names],
+            inputs=inputs,
             outputs=outputs,
             name=f"plant_m{self.order}",
         )
+        return (plant, self.equilibrium()) if offset == "shifted" else plant
 
     def validity(self, t: np.ndarray, z: np.ndarray, u: np.ndarray | None = None) -> list[Flag]:
         """Where a roll-out of `predict` leaves what the model was trained on, in order of time.

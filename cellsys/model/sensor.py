@@ -8,15 +8,20 @@ is used [notes: theory, sensor].
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.linalg as sla
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.model.sensor_block import sensor_block
 from cellsys.units import real_array
+
+if TYPE_CHECKING:
+    from control import NonlinearIOSystem
 
 
 @checked
@@ -68,6 +73,21 @@ class StiffnessSensor:
         d = self.raw(z)
         norm = np.linalg.norm(d, axis=-1, keepdims=True)
         return np.divide(d, norm, out=np.zeros_like(d), where=norm > 0)
+
+    def block(
+        self, cells: Sequence[str] = ("",), *, normalise: bool = True
+    ) -> NonlinearIOSystem:
+        """The sensor as a static block of python-control: inputs z[i], outputs d_x, d_y, d_z.
+
+        Parameters
+        ----------
+        cells : sequence of str
+            What the signals of each cell begin with, such as ``("cell1_", "cell2_")``.
+        normalise : bool
+            Scale d to unit length, as `direction`, or not, as `raw`.
+        """
+        read = self.direction if normalise else self.raw
+        return sensor_block(read, self.S_d.shape[1], cells)
 
     def arrays(self) -> Mapping[str, np.ndarray]:
         """Plain arrays for a file."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal, overload
 
 import numpy as np
 import scipy.linalg as sla
@@ -17,6 +17,7 @@ from cellsys.kinds import FILLED, Filled
 from cellsys.model.card import Card
 from cellsys.model.hold import check_roll_out
 from cellsys.model.latent import LatentModel
+from cellsys.model.plant import Offset
 from cellsys.model.poles import fastest_growth, pole_set
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.model.trained_range import Flag, TrainedRange
@@ -212,9 +213,18 @@ class PiecewiseModel(Drawable):
         """(A_d, B_d, b_d) over a step of dt seconds of the blend at the training start."""
         return self.at(0.0).step_matrices(dt)
 
-    def plant(self) -> control.StateSpace:
+    @overload
+    def plant(self, *, offset: Literal["input", "drop"] = "input") -> control.StateSpace: ...
+
+    @overload
+    def plant(self, *, offset: Literal["shifted"]) -> tuple[control.StateSpace, np.ndarray]: ...
+
+    def plant(
+        self, *, offset: Offset = "input"
+    ) -> control.StateSpace | tuple[control.StateSpace, np.ndarray]:
         """The blend at the training start as `control.StateSpace`; see `LatentModel.plant`."""
-        return self.at(0.0).plant()
+        blend = self.at(0.0)
+        return blend.plant(offset="shifted") if offset == "shifted" else blend.plant(offset=offset)
 
     def validity(self, t: np.ndarray, z: np.ndarray, u: np.ndarray | None = None) -> list[Flag]:
         """Flags where a roll-out leaves the trained range; see `LatentModel.validity`."""

@@ -234,7 +234,7 @@ def test_plant_is_a_named_state_space(model):
     assert isinstance(plant, control.StateSpace)
     assert plant.dt == 0
     assert plant.state_labels == [f"z[{i}]" for i in range(6)]
-    assert plant.input_labels == ["a", "b"]
+    assert plant.input_labels == ["a", "b", "one"]
     assert plant.output_labels == plant.state_labels
     near = np.abs(plant.poles()[:, None] - model.poles()[None]).min(axis=1)
     assert near.max() < 1e-9 * np.abs(model.poles()).max()
@@ -252,8 +252,10 @@ def test_plant_is_a_named_state_space(model):
 
 def test_plant_of_a_model_without_inputs():
     plant = LatentModel(A=-np.eye(2)).plant()
-    assert plant.ninputs == 0
+    assert plant.input_labels == ["one"]
     assert plant.nstates == 2
+    bare = LatentModel(A=-np.eye(2)).plant(offset="drop")
+    assert bare.ninputs == 0
 
 
 # Files
