@@ -38,9 +38,7 @@ def main(quick: bool = False, runs: str | None = None, out: str | None = None) -
     small = models[0]
     print(f"m = {small.order}: {small.pole_set()}")
     # Zeros depend on what is read: here the sensed direction, from the first command.
-    plant = small.plant(
-        output=small.sensor.S_d[:2], output_names=["d_x", "d_y"], offset="drop"
-    )
+    plant = small.plant(output=small.sensor.S_d[:2], output_names=["d_x", "d_y"], offset="drop")
     print(f"zeros from the commands to the sensed direction: {len(cs.zeros(plant))}")
     if out is not None:
         from cellsys.figures import pole_map, save_png, sheet

@@ -107,6 +107,4 @@ def joined(
     """
     import control
 
-    return control.interconnect(
-        list(blocks), inputs=list(inputs), outputs=list(outputs), name=name
-    )
+    return control.interconnect(list(blocks), inputs=list(inputs), outputs=list(outputs), name=name)

@@ -156,8 +156,12 @@ class CellDynamics:
             step = step + velocity @ read.R_y
         return np.stack([step.real, step.imag], axis=-1)
 
-    def step_matrices(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def step_matrices(
+        self, t: float, *, riding: bool = False
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Real step matrices at the frozen time t: states, harmonics, offset.
+
+        `riding`: centroids are read out as on a matrix, here one that does not move.
 
         States: x_0, then Re and Im of each further charge, then the centroid.
         Inputs: see `harmonic_names`: a and a^2, then for q = 1 .. top cos and sin of q theta
@@ -184,7 +188,8 @@ class CellDynamics:
                 A[rows, rows] = Aw
                 B[rows, _columns(q, part)] = by_power
         A[m:, m:] = np.eye(2)
-        R_z, R_u = w @ self.alone.R_z, (w @ self.alone.R_u) @ _POWERS
+        read = self.riding if riding else self.alone
+        R_z, R_u = w @ read.R_z, (w @ read.R_u) @ _POWERS
         for part in range(2):
             i = starts[1] + part * sizes[1]
             rows = slice(i, i + sizes[1])

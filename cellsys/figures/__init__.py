@@ -10,6 +10,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
     submod_attrs={
         "accuracy": ["work_precision"],
         "bondgraph": ["bond_graph"],
+        "diagram": ["block_diagram"],
         "comparison": ["comparison", "learning_curve", "selection"],
         "crawler": [
             "chain_displacement",

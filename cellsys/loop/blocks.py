@@ -8,50 +8,17 @@ is driven by. With several cells each name begins with that of its cell: cell2_p
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from cellsys.laws.polarity import rate_rows
+from cellsys.loop.polarity import PolarityLaw
 from cellsys.model.plant import ONE
 from cellsys.model.sensor_block import latent_names, sensor_block, vector_names
 from cellsys.state_space import block, joined
 
 if TYPE_CHECKING:
     from control import InterconnectedSystem, NonlinearIOSystem, StateSpace
-
-    from cellsys.loop.polarity import PolarityLaw
-
-
-
-def law_block(
-    law: PolarityLaw, cells: Sequence[str] = ("",), *, dt: float | None = None
-) -> NonlinearIOSystem:
-    """The controllers of K cells: states p, inputs d; the parameter ``kappa`` is their gain, 1/s.
-
-    With `dt` a step of that many seconds, exact for a direction that is held.
-    """
-    K = len(cells)
-
-    def update(t: float, x: np.ndarray, u: np.ndarray, params: Mapping[str, float]) -> np.ndarray:
-        p, d, kappa = x.reshape(K, 3), u.reshape(K, 3), float(params["kappa"])
-        if dt is None:
-            return rate_rows(p, d, kappa).ravel()
-        now = law if kappa == law.kappa else replace(law, kappa=kappa)
-        return np.array([now.step(a, b, dt) for a, b in zip(p, d, strict=True)]).ravel()
-
-    names = vector_names("p", cells)
-    return block(
-        "controller",
-        vector_names("d", cells),
-        names,
-        None,
-        states=names,
-        update=update,
-        dt=0 if dt is None else dt,
-        params={"kappa": law.kappa},
-    )
 
 
 def command_block(
@@ -95,7 +62,7 @@ def loop_diagram(
     return joined("loop", parts, shown)
 
 
-class Stepper(Protocol):
+class SteppedPlant(Protocol):
     """The plant of a scheduled loop; see `ScheduledSystem`."""
 
     def moved(self, z: np.ndarray, angles: np.ndarray, t: float, amplitude: float) -> np.ndarray:
@@ -103,7 +70,7 @@ class Stepper(Protocol):
 
 
 def scheduled_diagram(
-    plant: Stepper,
+    plant: SteppedPlant,
     law: PolarityLaw,
     direction: Callable[[np.ndarray], np.ndarray],
     *,
@@ -138,9 +105,7 @@ def scheduled_diagram(
         def turn(t: float, x: np.ndarray, u: np.ndarray, params: Mapping[str, float]) -> np.ndarray:
             return law.step(u[:3], u[3:], 0.5 * dt)
 
-        return block(
-            name, [*vector_names("p"), *vector_names(towards)], vector_names(out), turn
-        )
+        return block(name, [*vector_names("p"), *vector_names(towards)], vector_names(out), turn)
 
     def mean(t: float, x: np.ndarray, u: np.ndarray, params: Mapping[str, float]) -> np.ndarray:
         middle = 0.5 * (u[:3] + u[3:])
@@ -150,16 +115,14 @@ def scheduled_diagram(
     read = {"sensor": ("z", "d"), "sensor_ahead": ("z_ahead", "d_ahead")}
     parts = [
         moved("plant", "p_drive", True),
-        renamed(law_block(law, dt=dt), {f"d_{a}": f"d_mean_{a}" for a in "xyz"}),
+        renamed(law.block(dt=dt), {f"d_{a}": f"d_mean_{a}" for a in "xyz"}),
         *(
             sensor_block(direction, order, name=name, latent=latent, sensed=sensed)
             for name, (latent, sensed) in read.items()
         ),
         half("turn", "d", "p_middle"),
         moved("predictor", "p_middle", False),
-        block(
-            "mean", [*vector_names("d"), *vector_names("d_ahead")], vector_names("d_mean"), mean
-        ),
+        block("mean", [*vector_names("d"), *vector_names("d_ahead")], vector_names("d_mean"), mean),
         half("turn_to_mean", "d_mean", "p_drive"),
     ]
     if amplitude is not None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,8 +12,9 @@ from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.kinds import Seed
 from cellsys.laws.arrays import Vector, is_symbolic
-from cellsys.laws.polarity import exact_step, rate
-from cellsys.loop.blocks import law_block
+from cellsys.laws.polarity import exact_step, rate, rate_rows
+from cellsys.model.sensor_block import vector_names
+from cellsys.state_space import block
 from cellsys.units import real_array, real_number
 
 if TYPE_CHECKING:
@@ -112,9 +113,7 @@ class PolarityLaw:
             raise DataError(f"dt is not finite, or not one number: {step!r}")
         return exact_step(self._off_antipode(p, d), d, self.kappa, float(step))
 
-    def block(
-        self, cells: Sequence[str] = ("",), *, dt: float | None = None
-    ) -> NonlinearIOSystem:
+    def block(self, cells: Sequence[str] = ("",), *, dt: float | None = None) -> NonlinearIOSystem:
         """The law as a block of python-control: states and outputs p_x, p_y, p_z, inputs d_x, ...
 
         Its parameter ``kappa`` may be given to a response: ``params={"kappa": 0.03}``. A
@@ -129,7 +128,28 @@ class PolarityLaw:
         """
         if dt is not None and not (np.isfinite(dt) and dt > 0):
             raise ParameterError(f"dt must be > 0 s, or None for a continuous block, got {dt!r}")
-        return law_block(self, cells, dt=dt)
+        K = len(cells)
+
+        def update(
+            t: float, x: np.ndarray, u: np.ndarray, params: Mapping[str, float]
+        ) -> np.ndarray:
+            p, d, kappa = x.reshape(K, 3), u.reshape(K, 3), float(params["kappa"])
+            if dt is None:
+                return rate_rows(p, d, kappa).ravel()
+            law = self if kappa == self.kappa else replace(self, kappa=kappa)
+            return np.array([law.step(a, b, dt) for a, b in zip(p, d, strict=True)]).ravel()
+
+        names = vector_names("p", cells)
+        return block(
+            "controller",
+            vector_names("d", cells),
+            names,
+            None,
+            states=names,
+            update=update,
+            dt=0 if dt is None else dt,
+            params={"kappa": self.kappa},
+        )
 
     def _off_antipode(self, p: np.ndarray, d: np.ndarray) -> np.ndarray:
         if isinstance(self.antiparallel, AntiparallelStay):

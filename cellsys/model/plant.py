@@ -1,8 +1,8 @@
 """The offset b of z' = A z + B c + b in a plant, which python-control has no place for.
 
-    "input"      one more input, named ``one``, of column b: the affine model, driven by [c; 1]
-    "shifted"    in z - z*, with A z* + b = 0: the affine model about its equilibrium
-    "drop"       without b: differences of two runs
+"input"      one more input, named ``one``, of column b: the affine model, driven by [c; 1]
+"shifted"    in z - z*, with A z* + b = 0: the affine model about its equilibrium
+"drop"       without b: differences of two runs
 """
 
 from __future__ import annotations

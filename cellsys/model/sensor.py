@@ -74,9 +74,7 @@ class StiffnessSensor:
         norm = np.linalg.norm(d, axis=-1, keepdims=True)
         return np.divide(d, norm, out=np.zeros_like(d), where=norm > 0)
 
-    def block(
-        self, cells: Sequence[str] = ("",), *, normalise: bool = True
-    ) -> NonlinearIOSystem:
+    def block(self, cells: Sequence[str] = ("",), *, normalise: bool = True) -> NonlinearIOSystem:
         """The sensor as a static block of python-control: inputs z[i], outputs d_x, d_y, d_z.
 
         Parameters

@@ -304,7 +304,8 @@ def test_plant_and_poles_agree():
         )
         plant = cells.plant()
         assert plant.dt == 0
-        assert plant.ninputs == 3
+        assert plant.ninputs == 3 + 1  # the offset's
+        assert plant.input_labels[-1] == "one"
         assert match(poles(plant), cells.poles()) < 1e-9
     step = couple(
         cell(dt=10.0),

@@ -8,7 +8,7 @@ midpoint. What is certified (shapes, loads, field) does not depend on the comman
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from cellsys.population.ported.capabilities import CellSensor, steps_itself
 from cellsys.population.ported.equivariant_system import EquivariantSystem
 from cellsys.population.ported.linear_cells import PortedCells
 from cellsys.population.ported.placement import Placement
+from cellsys.population.ported.plant import moving_plant
 from cellsys.population.ported.polar import frozen_port, polar_gather
 from cellsys.population.verdict import CoupledStability
 from cellsys.system import Block, Layout
@@ -107,9 +108,50 @@ class EquivariantCells(Drawable):
         """Every pole, frozen at t, 1/s."""
         return self.frozen(t).poles()
 
-    def plant(self, t: float | None = None) -> control.StateSpace:
-        """The frozen system as `control.StateSpace` with the model's step; no commands."""
-        return self.frozen(t).plant()
+    def plant(
+        self,
+        t: float | None = None,
+        *,
+        commands: Literal["heading", "harmonics"] = "heading",
+        points: np.ndarray | None = None,
+        offset: Literal["input", "drop"] = "input",
+    ) -> control.StateSpace:
+        """Cells, centroids and field frozen at t, linear, as a named `control.StateSpace`.
+
+        A step system (dt of the model) about cells that stand at their places, with amplitude 1
+        and the headings of the placement, on a field at rest. It has no controller: headings are
+        commanded. Loads stay where the cells stand, which holds as long as they do.
+
+        Parameters
+        ----------
+        t : float, optional
+            s since contact; default the end of training.
+        commands : {"heading", "harmonics"}
+            Inputs of each cell: ``cell1_amplitude`` (1) and ``cell1_heading`` (rad), about which
+            the harmonics are taken linear; or the harmonics themselves, by the names of
+            `model.input_names`, in which the plant is exact.
+        points : (P, 2) or (P, 3), optional
+            um. At the surface node nearest to each, loads ``load1_x, ...`` (pN) are inputs and
+            displacements ``matrix1_x, ...`` (um) are outputs.
+        offset : {"input", "drop"}
+            What is constant: the column of a last input ``one``, which is 1 at all times (inputs
+            and outputs are then absolute), or nothing (they are differences).
+
+        Returns
+        -------
+        StateSpace
+            Outputs, after those of `points`: of each cell centroid ``cell1_x, cell1_y`` (um) and
+            polarity ``cell1_p_x, cell1_p_y``, and of each cell and its nearest neighbour ``gap1_2``
+            (um), the distance of their centroids along the line between their places.
+        """
+        return moving_plant(
+            self.frozen(t),
+            self.model,
+            self.model.horizon if t is None else t,
+            commands=commands,
+            points=points,
+            offset=offset,
+        )
 
     def stability(self) -> CoupledStability:
         """The certificate: every vertex contractive in one norm, collocated port, passive field.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 import scipy.linalg as sla
@@ -21,11 +21,11 @@ from cellsys.population.ported.footprint import (
     field_passivity,
 )
 from cellsys.population.ported.placement import Placement
+from cellsys.population.ported.plant import linear_plant
 from cellsys.population.ported.ports import CellPort, PortPassivity
 from cellsys.population.verdict import CoupledStability, judge
 from cellsys.response.integrators import apart_from, said_apart
 from cellsys.shown import Shown
-from cellsys.state_space import state_space
 from cellsys.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -136,8 +136,7 @@ class PortedCells(Drawable):
             )
 
     @cached_property
-    def whole(self) -> tuple[np.ndarray, np.ndarray]:
-        """(M, G) of x' (or x+) = M x + G g: x = [z_1 .. z_K, q], g (K m) = b + B u of each."""
+    def _assembled(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         self._afford("the assembled system")
         K, m, cell, field = self.n_cells, self.order, self.model, self.coupling.field
         Kq, C_e, n = dense_stiffness(field), float(field.drag), int(field.order)
@@ -149,7 +148,8 @@ class PortedCells(Drawable):
         if cell.dt is None:
             G, D = -Kq / C_e, EF / C_e
             M = np.block([[A + CE @ D, CE @ G], [D, G]])
-            return M, np.vstack([np.eye(K * m), np.zeros((n, K * m))])
+            given = np.vstack([CE, np.eye(n)]) / C_e
+            return M, np.vstack([np.eye(K * m), np.zeros((n, K * m))]), given
         dt = cell.dt
         through = 0.5 * (EF @ CE) / dt
         left = (C_e / dt) * np.eye(n) + Kq - through
@@ -159,10 +159,21 @@ class PortedCells(Drawable):
             (C_e / dt) * np.eye(n) - through,
             0.5 * EF,
         )
-        solved = sla.solve(left, np.hstack([on_z, on_q, on_g]))
-        q_z, q_q, q_g = np.split(solved, [K * m, K * m + n], axis=1)
+        solved = sla.solve(left, np.hstack([on_z, on_q, on_g, np.eye(n)]))
+        q_z, q_q, q_g, q_l = np.split(solved, [K * m, K * m + n, 2 * K * m + n], axis=1)
         M = np.block([[A + CE @ q_z / dt, CE @ (q_q - np.eye(n)) / dt], [q_z, q_q]])
-        return M, np.vstack([one + CE @ q_g / dt, q_g])
+        return M, np.vstack([one + CE @ q_g / dt, q_g]), np.vstack([CE @ q_l / dt, q_l])
+
+    @property
+    def whole(self) -> tuple[np.ndarray, np.ndarray]:
+        """(M, G) of x' (or x+) = M x + G g: x = [z_1 .. z_K, q], g (K m) = b + B u of each."""
+        M, G, _ = self._assembled
+        return M, G
+
+    @property
+    def given_loads(self) -> np.ndarray:
+        """What loads (order,), pN, on the field's coordinates add to x' (or x+) of `whole`."""
+        return self._assembled[2]
 
     def matrix(self) -> np.ndarray:
         """The assembled matrix: of x' = M x, or of a step x+ = M x; x = [z_1 .. z_K, q]."""
@@ -247,28 +258,26 @@ class PortedCells(Drawable):
             route=self.route,
         )
 
-    def plant(self) -> control.StateSpace:
-        """Cells and field as a named `control.StateSpace`: commands in, loads and states out.
+    def plant(
+        self,
+        *,
+        points: np.ndarray | None = None,
+        offset: Literal["input", "drop"] = "input",
+    ) -> control.StateSpace:
+        """Cells and field as a named `control.StateSpace`, dt = 0 or the step of the cells.
 
-        dt = 0, or the step of the cells.
+        Inputs are the commands of every cell, loads on the matrix (pN) and ``one``; outputs the
+        states and the displacement of the matrix (um).
+
+        Parameters
+        ----------
+        points : (P, 2) or (P, 3), optional
+            um. Loads act and displacements are read at the surface node nearest to each:
+            ``load1_x, ...`` and ``matrix1_x, ...``.
+        offset : {"input", "drop"}
+            What the offsets of the cells become: a last input ``one``, constant 1, or nothing.
         """
-        M, G = self.whole
-        K, m, cell = self.n_cells, self.order, self.model
-        B = G @ np.kron(np.eye(K), cell.B)
-        inputs = [n.split(".")[-1].replace("[", "_").replace("]", "") for n in cell.input_names]
-        states = [f"cell{k}_z[{i}]" for k in range(1, K + 1) for i in range(m)]
-        states += [f"field_q[{i}]" for i in range(int(self.coupling.field.order))]
-        return state_space(
-            M,
-            B,
-            np.eye(len(M)),
-            np.zeros(B.shape),
-            0 if cell.dt is None else cell.dt,
-            states=states,
-            inputs=[f"cell{k}_{n}" for k in range(1, K + 1) for n in inputs],
-            outputs=states,
-            name=f"ported_cells_K{K}",
-        )
+        return linear_plant(self, points, offset)
 
     def simulate(
         self,

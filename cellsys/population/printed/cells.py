@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 import scipy.linalg as sla
@@ -34,10 +34,11 @@ from cellsys.population.printed.blocks import (
 from cellsys.population.printed.certainty import block_certainty
 from cellsys.population.printed.closed import CoupledLoop, linearize
 from cellsys.population.printed.dense import dense_block
+from cellsys.population.printed.distinct import distinct_blocks
 from cellsys.population.printed.limits import limit_poles
 from cellsys.population.printed.maps import field_rows
 from cellsys.population.printed.modes import Modes, modes_of
-from cellsys.population.printed.plant import plant_of
+from cellsys.population.printed.plant import cells_diagram, plant_of
 from cellsys.population.printed.simulation import run
 from cellsys.population.printed.split import FieldSplit, field_split
 from cellsys.population.printed.system import CoupledSystem, coupled_system, rightmost_poles
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
 
 DENSE_LIMIT = 4000
 POLE_LIMIT = 1_000_000
-_STIFF = 1e-3  # smallest 1 - lambda for which the printed form loses less than 1e-10 to rounding
 
 
 @checked
@@ -172,37 +172,12 @@ class CoupledCells(Drawable):
         Superposition's blocks are all A where nothing is dropped, and one compression of A where
         the same directions are: they are worked out once.
         """
-        form, split = self.coupling, self.rank
-        if self.modes is None or form.extra(self.order) is not None or not form.inverted():
-            found = self.blocks(drop=True) if drop else self._kept_blocks
-            n = self._multiplicity()
-            return [
-                (b.M[np.ix_(b.kept, b.kept)], int(k), b.dropped, b.omega)
-                for b, k in zip(found, n, strict=True)
-            ]
-        groups: dict[bytes, tuple[np.ndarray, list[int], list[float]]] = {}
-        for mask, n, w in zip(
-            kept_directions(self.rank, self.modes.omega, drop=drop),
-            self.modes.multiplicity,
-            self.modes.omega,
-            strict=True,
-        ):
-            _, counts, omegas = groups.setdefault(mask.tobytes(), (mask, [], []))
-            counts.append(int(n))
-            omegas.append(float(w))
-        A = self.matrices[0]
-        A_w = None
-        out = []
-        for mask, counts, omegas in groups.values():
-            if mask.all():
-                M = A
-            else:
-                A_w = split.W.T @ A @ split.W if A_w is None else A_w
-                M = A_w[np.ix_(mask, mask)]
-            out.append(
-                (M, sum(counts), int((~mask).sum()), omegas[0] if len(omegas) == 1 else np.nan)
-            )
-        return out
+        return distinct_blocks(
+            self,
+            lambda: self.blocks(drop=True) if drop else self._kept_blocks,
+            self._multiplicity(),
+            drop=drop,
+        )
 
     @cached_property
     def doubtful(self) -> np.ndarray:
@@ -309,22 +284,32 @@ class CoupledCells(Drawable):
 
     # What other files of the room do with it
 
-    def plant(self, coordinates: str | None = None) -> control.StateSpace:
+    def plant(
+        self, coordinates: str | None = None, *, offset: Literal["input", "drop"] = "input"
+    ) -> control.StateSpace:
         """The whole as a named `control.StateSpace` (dt = 0, K m <= 4000).
 
-        Inputs are the commands of every cell, outputs the emergent latent states z.
+        Inputs are the commands of every cell and ``one``, outputs the emergent latent states z.
 
         Parameters
         ----------
         coordinates : {"emergent", "isolated"}, optional
-            States z as printed, or x with z = T x, which needs no inverse of N. Default emergent
-            unless 1 - lambda < 1e-3 somewhere: A would hold |A|/(1 - lambda), and poles computed
-            from it would be wrong.
+            States z as printed, or x with z = T x + offset, which needs no inverse of N. Default
+            emergent unless 1 - lambda < 1e-3 somewhere: A would hold |A|/(1 - lambda), and poles
+            computed from it would be wrong.
+        offset : {"input", "drop"}
+            What the offsets of the cells and of z become: a last input ``one``, constant 1, or
+            nothing; see `LatentModel.plant`.
         """
-        if coordinates is None:
-            low = min(b.smallest for b in self._checked_blocks("plant()"))
-            coordinates = "emergent" if low >= _STIFF else "isolated"
-        return plant_of(self, self._checked_blocks("plant()"), coordinates)
+        return plant_of(self, self._checked_blocks("plant()"), coordinates, offset)
+
+    def interconnect(self) -> control.InterconnectedSystem:
+        """All cells as a diagram of python-control: plant, controllers, commands and sensors.
+
+        Its states are x and p, those of `system`, its outputs z, p and d of every cell; nothing
+        comes from outside. Started from ``system.x0`` its `input_output_response` is `simulate`.
+        """
+        return cells_diagram(self, self._checked_blocks("interconnect()"))
 
     def _checked_blocks(self, what: str) -> list[ModeBlock]:
         self._refuse_matrix_free(what, "simulate() works")
