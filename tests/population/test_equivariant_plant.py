@@ -143,6 +143,24 @@ def test_lqr_and_bode(field, K):
     assert lines.size == 2  # gain and phase
 
 
+@pytest.mark.parametrize("reads", ["state", "field"])
+def test_the_diagram_is_the_run(field, reads):
+    m = model(0.02, field=field)
+    more = {"sensor": cs.FieldSensor()} if reads == "field" else {}
+    found = cells(m, field, PAIR, headings=HEADINGS, controller=cs.PolarityLaw(), **more)
+    t = m.dt * np.arange(9)
+    diagram = found.interconnect(tolerance=1e-12)
+    run = found.simulate(t, tolerance=1e-12)
+    got = ct.input_output_response(diagram, t, 0, found.diagram_start).outputs.T
+    n = run.x.shape[1] - 6
+    # The exchange ends at 1e-12 of the loads, and turning back and forth rounds.
+    assert np.abs(got[:, :n] - run.x[:, :n]).max() < 1e-8
+    assert np.abs(got[:, n : n + 6] - run.p.reshape(9, 6)).max() < 1e-8
+    assert np.abs(got[:, n + 6 :] - run.d.reshape(9, 6)).max() < 1e-8
+    assert np.abs(run.p[-1] - run.p[0]).max() > 1e-2
+    assert {"cell2_z[0]", "field_q[0]", "cell1_p_x"} <= set(diagram.output_labels)
+
+
 def test_refusals(field):
     found = cells(riding(field), field, PAIR)
     for given, words in (
@@ -151,5 +169,7 @@ def test_refusals(field):
     ):
         with pytest.raises(ParameterError, match=words):
             found.plant(**given)
+    with pytest.raises(ParameterError, match="lack"):
+        found.interconnect()
     with pytest.raises(DimensionError, match="points"):
         found.plant(points=[[0.0, np.nan]])

@@ -25,6 +25,7 @@ from cellsys.loop.loop_system import model_error
 from cellsys.mechanics.geometry.surface import convex_triangles
 from cellsys.population.poleset import PoleSet
 from cellsys.population.ported.capabilities import CellSensor, steps_itself
+from cellsys.population.ported.diagram import field_diagram, leaping_start
 from cellsys.population.ported.equivariant_system import EquivariantSystem
 from cellsys.population.ported.linear_cells import PortedCells
 from cellsys.population.ported.placement import Placement
@@ -36,6 +37,7 @@ from cellsys.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import control
+    from control import InterconnectedSystem
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -210,33 +212,16 @@ class EquivariantCells(Drawable):
         """
         instead = "cells.frozen(t) has linear cells frozen at a time"
         refuse_integrator(self, integrator, instead)
-        field = self.coupling.field
-        if not steps_itself(field):
-            raise ParameterError(
-                f"a run needs a field that steps itself, and a {type(field).__name__} does not; "
-                "use a GalerkinField or a full field"
-            )
         times, K = check_times(t), self.n_cells
         steps = int(marks_of(times, self.dt, "the model")[-1])
         u = self._command(amplitude, "amplitude", steps, 1.0)
         if heading is not None:
             u = np.hstack([u, self._command(heading, "heading", steps, 0.0)])
-        theta = self.coupling.headings
-        if p0 is None:
-            p0 = np.column_stack([np.cos(theta), np.sin(theta), np.zeros(K)])
+        p0 = self._headed() if p0 is None else p0
         p = np.array(np.broadcast_to(np.asarray(p0, float), (K, 3)))
         if not np.all(np.isfinite(p)) or np.any(np.hypot(p[:, 0], p[:, 1]) == 0):
             raise ParameterError("p0 must be finite and have a heading for every cell")
-        system = EquivariantSystem(
-            whole=CellsOnField(model=self.model, field=field, tolerance=tolerance),
-            places=self.coupling.positions[:, :2],
-            controller=self.controller if heading is None else None,
-            sensor=self.sensor,
-            normalise=self.normalise,
-            start=z0,
-            p0=p,
-            commanded=heading is not None,
-        )
+        system = self._stepped(z0, p, tolerance, commanded=heading is not None)
         return simulate(
             system,
             None,
@@ -245,6 +230,61 @@ class EquivariantCells(Drawable):
             label=f"{K} equivariant cells on one field",
             model_error=model_error(self.model),
         )
+
+    def _headed(self) -> np.ndarray:
+        theta = self.coupling.headings
+        return np.column_stack([np.cos(theta), np.sin(theta), np.zeros(self.n_cells)])
+
+    def _stepped(
+        self, z0: np.ndarray | None, p: np.ndarray, tolerance: float, *, commanded: bool
+    ) -> EquivariantSystem:
+        field = self.coupling.field
+        if not steps_itself(field):
+            raise ParameterError(
+                f"a run needs a field that steps itself, and a {type(field).__name__} does not; "
+                "use a GalerkinField or a full field"
+            )
+        return EquivariantSystem(
+            whole=CellsOnField(model=self.model, field=field, tolerance=tolerance),
+            places=self.coupling.positions[:, :2],
+            controller=None if commanded else self.controller,
+            sensor=self.sensor,
+            normalise=self.normalise,
+            start=z0,
+            p0=p,
+            commanded=commanded,
+        )
+
+    def _steered(self) -> PolarityLaw:
+        if self.controller is None or self.sensor is None:
+            lacking = "a controller" if self.controller is None else "a sensor"
+            raise ParameterError(f"these cells have no loop: they lack {lacking}; give couple both")
+        return self.controller
+
+    def interconnect(self, *, tolerance: float = 1e-5) -> InterconnectedSystem:
+        """Cells, field, controllers and sensors as a diagram of python-control, nonlinear.
+
+        Its step is the model's, time that since contact, the amplitude 1. Started from
+        `diagram_start` its ``control.input_output_response`` is `simulate`, step for step, to the
+        tolerance of the field's step. Outputs are z of every cell, field_q, p and d.
+
+        Parameters
+        ----------
+        tolerance : float
+            As in `simulate`.
+        """
+        law = self._steered()
+        return field_diagram(self._stepped(None, self._headed(), tolerance, commanded=False), law)
+
+    @property
+    def diagram_start(self) -> np.ndarray:
+        """State of `interconnect()` at contact.
+
+        z of every cell, the field's coordinates and velocity, and the headings half a step
+        before, of which the diagram makes those of the placement.
+        """
+        law = self._steered()
+        return leaping_start(self._stepped(None, self._headed(), 1e-5, commanded=False), law)
 
     def _command(
         self, value: np.ndarray | None, name: str, steps: int, default: float
