@@ -14,6 +14,7 @@ FAST = {
     "bring_your_own_snapshots.py",
     "your_own_reductor.py",
     "bond_graph.py",
+    "python_control.py",
 }
 SCRIPTS = sorted(
     [
