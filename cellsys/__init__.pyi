@@ -91,6 +91,8 @@ from .observe import (
     until_contact,
 )
 from .population import (
+    SymbolicLoop,
+    symbolic,
     CellPort,
     CoupledCells,
     CoupledStability,
