@@ -91,7 +91,6 @@ from .observe import (
     until_contact,
 )
 from .population import (
-    SymbolicLoop,
     symbolic,
     CellPort,
     CoupledCells,

@@ -12,7 +12,7 @@ from cellsys.population.printed.cells import CoupledCells
 from cellsys.population.printed.forms import Feedback, MappedSuperposition, Superposition
 from cellsys.population.printed.maps import ForceMap, P_c, P_F_phi, P_phi, fit_P_map
 from cellsys.population.printed.split import FieldSplit
-from cellsys.population.symbolic import SymbolicLoop, symbolic
+from cellsys.population.symbolic import symbolic
 from cellsys.population.verdict import CoupledStability
 
 __all__ = [
@@ -35,7 +35,6 @@ __all__ = [
     "PortPassivity",
     "PortedCells",
     "Superposition",
-    "SymbolicLoop",
     "couple",
     "fit_P_map",
     "symbolic",

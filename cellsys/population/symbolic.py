@@ -174,7 +174,7 @@ def symbolic(
     symbols = {name: ca.SX.sym(name, *values[name].shape) for name in parameters}
 
     def value(name: str) -> ca.SX:
-        return symbols[name] if name in symbols else ca.DM(values[name])
+        return symbols[name] if name in symbols else ca.SX(ca.DM(values[name]))
 
     x, u = ca.SX.sym("x", n + 3 * K), ca.SX.sym("u", K * len(inputs))
     names = one.model.input_names
