@@ -44,9 +44,9 @@ class SymbolicLoop(Shown):
     ----------
     states, inputs, parameters, outputs : tuple of str
         Names of the entries of x, u, p and y.
-    x, u, p : casadi.SX
+    x, u, p : casadi.MX
         Symbols.
-    rhs, y : casadi.SX
+    rhs, y : casadi.MX
         dx/dt and the outputs z, p, d of every cell.
     x0, u0, p0 : arrays
         The loop's own start, inputs (amplitude 1, heading at the start) and parameters.
@@ -56,11 +56,11 @@ class SymbolicLoop(Shown):
     inputs: tuple[str, ...]
     parameters: tuple[str, ...]
     outputs: tuple[str, ...]
-    x: ca.SX
-    u: ca.SX
-    p: ca.SX
-    rhs: ca.SX
-    y: ca.SX
+    x: ca.MX
+    u: ca.MX
+    p: ca.MX
+    rhs: ca.MX
+    y: ca.MX
     x0: np.ndarray
     u0: np.ndarray
     p0: np.ndarray
@@ -171,23 +171,25 @@ def symbolic(
         whole = Whole(loop)
         M, D, push, mixing = whole.matrices()
         x_rate, rest = (M, D, push), whole.offset.ravel()
-    symbols = {name: ca.SX.sym(name, *values[name].shape) for name in parameters}
+    ends = np.cumsum([0, *(values[name].size for name in parameters)]).tolist()
+    p_all, symbols = ca.MX.sym("p", ends[-1]), {}
+    for i, name in enumerate(parameters):  # row by row, as the labels
+        part = ca.reshape(p_all[ends[i] : ends[i + 1]], *values[name].shape[::-1])
+        symbols[name] = part.T
 
-    def value(name: str) -> ca.SX:
-        return symbols[name] if name in symbols else ca.SX(ca.DM(values[name]))
+    def value(name: str) -> ca.MX:
+        return symbols[name] if name in symbols else ca.MX(ca.DM(values[name]))
 
-    x, u = ca.SX.sym("x", n + 3 * K), ca.SX.sym("u", K * len(inputs))
+    x, u = ca.MX.sym("x", n + 3 * K), ca.MX.sym("u", K * len(inputs))
     names = one.model.input_names
     z = ca.mtimes(ca.DM(mixing), x[:n]) + ca.DM(rest)
     driven, turned, sensed = [], [], []
     for k in range(K):
-        own = dict(
-            zip(inputs, ca.vertsplit(u)[k * len(inputs) : (k + 1) * len(inputs)], strict=True)
-        )
+        own = {name: u[k * len(inputs) + i] for i, name in enumerate(inputs)}
         p = x[n + 3 * k : n + 3 * k + 3]
         told = own.get("heading")
         command = p if told is None else ca.vertcat(ca.cos(told), ca.sin(told), 0)
-        driven.append(_commands(names, command, own.get("amplitude", ca.SX(1.0))))
+        driven.append(_commands(names, command, own.get("amplitude", ca.MX(1.0))))
         K_d = value("K_d")
         d = ca.mtimes(K_d[:, 1:], z[k * m : (k + 1) * m]) + K_d[:, 0]
         if one.normalise:
@@ -211,7 +213,7 @@ def symbolic(
         outputs=(*z_names, *p_names, *vector_names("d", each)),
         x=x,
         u=u,
-        p=ca.vertcat(ca.SX(0, 1), *(ca.vec(symbols[name].T) for name in parameters)),
+        p=p_all,
         rhs=ca.vertcat(moved, *turned),
         y=ca.vertcat(z, x[n:], *sensed),
         x0=x0,
@@ -220,7 +222,7 @@ def symbolic(
     )
 
 
-def _commands(names: Sequence[str], p: ca.SX, amplitude: ca.SX) -> ca.SX:
+def _commands(names: Sequence[str], p: ca.MX, amplitude: ca.MX) -> ca.MX:
     import casadi as ca
 
     parts = [feature_of(name) for name in names]
