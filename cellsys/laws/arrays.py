@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import casadi
 
 Values = TypeVar("Values", float, np.ndarray)  # of an elementwise law
-Vector = TypeVar("Vector", np.ndarray, "casadi.SX")  # of a law that takes symbols too
+Vector = TypeVar("Vector", np.ndarray, "casadi.SX", "casadi.MX")  # of a law that takes symbols too
 
 
 def is_symbolic(*values: object) -> bool:
