@@ -26,6 +26,7 @@ from .crawler import (
 from .crawler import (
     row_displacement as row_displacement,
 )
+from .diagram import block_diagram as block_diagram
 from .equivariant import (
     bode_family as bode_family,
 )
