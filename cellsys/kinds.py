@@ -69,10 +69,10 @@ def shown(value: object) -> str:
     if isinstance(value, int) and value.bit_length() > 128:
         # Python writes no more than 4300 digits.
         return f"a whole number of about {int(value.bit_length() * 0.30103)} digits"
+    if isinstance(value, np.generic):  # first: a float64 is a float
+        return repr(value.item())
     if value is None or isinstance(value, (bool, int, float, complex)):
         return repr(value)
-    if isinstance(value, np.generic):
-        return repr(value.item())
     if isinstance(value, (str, bytes)):
         return repr(value) if len(value) <= _LONGEST else f"{value[:_LONGEST]!r}..."
     if isinstance(value, np.ndarray):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
 THESIS = Path(__file__).parents[2] / "analysis" / "thesis"
 
 
@@ -16,7 +17,6 @@ def found():
     return runpy.run_path(str(THESIS / "fig07_08_crawler.py"))["main"](quick=True)
 
 
-@pytest.mark.slow
 def test_as_printed_it_diverges(found):
     assert all(growth > 1.0 for growth in found["literal"].values())
     for name, row in found["rows"].items():
@@ -24,7 +24,6 @@ def test_as_printed_it_diverges(found):
             assert not row["mse"] < 1e6
 
 
-@pytest.mark.slow
 def test_the_identity_says_nothing_of_jumps(found):
     """With the jumping rows taken from W the cell stays where it is: hundreds of times worse."""
     rows = found["rows"]
@@ -69,7 +68,6 @@ def test_complementary_projections(found):
     assert found["eq59"]["random"] > 1e-3
 
 
-@pytest.mark.slow
 def test_smooth_case():
     table = runpy.run_path(str(THESIS / "smooth_case.py"))["main"](quick=True)
     jacobian, plain = table["Jacobian at rest"], table["least squares, x only"]

@@ -235,7 +235,7 @@ def test_refusals(field):
     assert "equivariant cells" in str(found)
 
 
-@pytest.mark.parametrize("linear", [True, False])
+@pytest.mark.parametrize("linear", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_the_estimate_covers_the_error_of_stepping(linear):
     """Against the same cells and field with sixteen steps for one."""
     coarse, fine = refined(), refined(16)
