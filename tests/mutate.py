@@ -155,7 +155,7 @@ def drawn(count: int, seed: int, rooms: list[str]) -> list[Mutation]:
 # Which tests run which line
 
 
-def line_map(file: Path) -> dict[str, dict[str, list[str]]]:
+def line_map(file: Path, workers: int) -> dict[str, dict[str, list[str]]]:
     """{source file: {line: tests}} of the default tests, from `file` or made now."""
     sources = [p for d in ("cellsys", "tests") for p in sorted((ROOT / d).rglob("*.py"))]
     key = hashlib.sha256(b"".join(p.read_bytes() for p in sources)).hexdigest()
@@ -172,10 +172,14 @@ def line_map(file: Path) -> dict[str, dict[str, list[str]]]:
         data, settings = Path(scratch, "data"), Path(scratch, "rc")
         settings.write_text(
             f"[run]\nsource = {PACKAGE}\ndynamic_context = test_function\ndata_file = {data}\n"
+            "patch = subprocess\nparallel = true\n"
         )
-        command = [sys.executable, "-m", "coverage", "run", f"--rcfile={settings}", "-m", "pytest",
-                   "-q", "-p", "no:cacheprovider"]  # fmt: skip
-        subprocess.run(command, cwd=ROOT, check=True)
+        tool = [sys.executable, "-m", "coverage"]
+        tests = ["-m", "pytest", "-q", "-p", "no:cacheprovider"]
+        split = ["-n", str(workers), "--dist", "loadfile"] if workers > 1 else []
+        subprocess.run([*tool, "run", f"--rcfile={settings}", *tests, *split], cwd=ROOT, check=True)
+        combine = [*tool, "combine", "-q", f"--rcfile={settings}", str(scratch)]
+        subprocess.run(combine, cwd=ROOT, check=True)
         found = coverage.CoverageData(basename=str(data))
         found.read()
         lines = {}
@@ -330,7 +334,7 @@ def main() -> int:
         for m in chosen:
             print(f"cellsys/{m.file}:{m.line}: {m.before}  ->  {m.after}")
         return 0
-    lines, known = line_map(options.map), harmless()
+    lines, known = line_map(options.map, options.workers), harmless()
     noticed, survivors, excused = 0, [], []
     for k, (m, seen) in enumerate(run(chosen, lines, options.workers), start=1):
         noticed += seen

@@ -21,6 +21,7 @@ from cellsys.cell.charged import ChargedModel
 from cellsys.contracts import LoadPort as LoadPort  # what the inherited __init__ is annotated with
 from cellsys.contracts import MatrixField as MatrixField
 from cellsys.errors import DimensionError, ParameterError, RepresentationError
+from cellsys.kinds import Filled as Filled
 from cellsys.population.ported.capabilities import CellSensor
 from cellsys.population.ported.equivariant_cells import EquivariantCells
 from cellsys.population.ported.field_sensor import standing_on
