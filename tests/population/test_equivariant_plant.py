@@ -138,7 +138,9 @@ def test_lqr_and_bode(field, K):
     row, column = plant.output_labels.index(f"cell{K}_x"), plant.input_labels.index("cell1_heading")
     known = np.squeeze(np.asarray(drawn.complex))
     assert np.abs(ours[row, column] - known).max() < 1e-7 * np.abs(known).max()
-    lines = ct.bode_plot(plant["gap1_2", "load1_x"], omega).lines
+    # On a ring a cell has two neighbours, as near but for rounding: whichever it took.
+    gap = next(name for name in plant.output_labels if name.startswith("gap1_"))
+    lines = ct.bode_plot(plant[gap, "load1_x"], omega).lines
     plt.close("all")
     assert lines.size == 2  # gain and phase
 

@@ -10,11 +10,11 @@ from tests.response.gallery import GALLERY
 
 mp = pytest.importorskip("mpmath")
 
-SIZES = [1, 2, 5, 20, pytest.param(60, marks=pytest.mark.slow)]
+SIZES = [1, 2, 5, 20, pytest.param(40, marks=pytest.mark.slow)]
 
 
 def exact(A: np.ndarray) -> np.ndarray:
-    """Eigenvalues of a float matrix, correctly rounded from 50 digits (80 for n = 60)."""
+    """Eigenvalues of a float matrix, correctly rounded from 50 digits (80 for n = 40)."""
     with mp.workdps(50 if len(A) <= 20 else 80):
         if np.array_equal(A, np.triu(A)):
             return np.diagonal(A).astype(complex)
