@@ -98,6 +98,7 @@ def fibres_of_no_length(law, share, count, seed):
     converges(system, x, 0.5, 5.0, system.states.slice("matrix.displacement"))
 
 
+@pytest.mark.slow
 def test_a_fibre_of_no_length():
     for law in ("linear", "buckling", "stiffening"):
         fibres_of_no_length(law, 0.0, 1, 0)

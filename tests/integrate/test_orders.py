@@ -83,6 +83,7 @@ def test_rkc_stages_satisfy_the_order_conditions():
         assert max(abs(P(z)) for z in np.linspace(-edge, -1e-3, 400)) <= 1.0
 
 
+@pytest.mark.slow
 def test_rkc_goes_far_beyond_the_explicit_limit():
     system = Springs(stiffness=5e4)
     t = np.linspace(0, 12, 4)

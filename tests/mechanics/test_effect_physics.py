@@ -30,7 +30,8 @@ def matrix_only(*names, **parameters):
 # Noise
 
 
-@pytest.mark.parametrize("step", [0.5, pytest.param(0.05, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("step", [0.5, 0.05])
 def test_thermal_energy_is_shared_equally(step):
     """<k z^2> = k_B T/(1 + dt k/(2 C)): implicit Euler's own bias, 12 % at 0.5 s, 1.2 % at 0.05 s.
 
