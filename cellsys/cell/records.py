@@ -152,6 +152,9 @@ def _loads(
         raise DataError(
             f"no load of {name} on the matrix among the auxiliaries; the scene needs an adhesion"
         )
+    eta = run.eta  # as it is: of columns on disk only the asked ones are read
+    if eta is None:
+        raise DataError(f"{run.label}: no auxiliaries were recorded, hence no load of {name}")
     columns = [data.auxiliaries.slice(b) for b in blocks]
     last = len(run.x) - 2
     loads = []
@@ -160,7 +163,7 @@ def _loads(
         if k == 0 and run.eta_start is not None:
             parts = [np.asarray(run.eta_start)[c] for c in columns]
         else:
-            parts = [np.mean(np.asarray(run.eta)[around, c], axis=0) for c in columns]
+            parts = [np.mean(eta[around, c], axis=0) for c in columns]
         force = sum(parts, start=np.zeros(()))
         loads.append(footprint.load(force.reshape(-1, 3)))
     return loads

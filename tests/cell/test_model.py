@@ -198,6 +198,22 @@ def test_orders_beyond_the_data_and_runs_without_a_matrix_are_refused():
         cs.Equivariant().fit(dataclasses.replace(train, runs=(blind,)), 10)
 
 
+def test_loads_are_read_where_they_are_asked_for(monkeypatch):
+    """Of columns kept on disk never the whole; it was, once per sample, in the main job."""
+    train, _ = data()
+    eta = train.runs[0].eta
+    assert not isinstance(eta, np.ndarray)  # chosen columns, read on demand
+
+    def whole(*arguments):
+        raise RuntimeError("the whole array was read")
+
+    monkeypatch.setattr(type(eta), "__array__", whole)
+    with pytest.raises(RuntimeError):  # naive
+        np.asarray(eta)
+    method = cs.Equivariant()
+    assert read_records(train, method.step, method.port)
+
+
 def test_tolerance_chooses_the_smallest_order():
     train, _ = data()
     method = cs.Equivariant(iterations=0, folds=0)
