@@ -383,16 +383,15 @@ def main():
     parser.add_argument("--out", type=Path, help="folder of the page and its runs")
     parser.add_argument("--only", choices=SECTIONS, action="append", help="this section alone")
     given = parser.parse_args()
-    chosen = given.only or list(SECTIONS)
     if given.out is not None:
-        return everything(given.quick, given.out, chosen)
+        return everything(given.quick, given.out, given.only)
     with tempfile.TemporaryDirectory() as scratch:
-        return everything(given.quick, Path(scratch), chosen)
+        return everything(given.quick, Path(scratch), given.only)
 
 
-def everything(quick, out, chosen):
+def everything(quick, out, only):
     page = Page(out)
-    for name in chosen:
+    for name in only or SECTIONS:
         SECTIONS[name](page, quick, out)
     page.write()
 

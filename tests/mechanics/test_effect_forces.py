@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
+from cellsys.errors import ParameterError
 from cellsys.mechanics.effects.protocol import Element
 from cellsys.scene.registry import LISTED
 from tests.mechanics.energies import ENERGIES
@@ -181,3 +182,13 @@ def test_majorant_bounds_the_tangent(case):
     lowest = sla.eigvalsh(M - 0.75 * K, subset_by_index=[0, 0])[0]
     # Differences of 1e-6 um leave 1e-4 pN/um or so of forces of a hundred pN.
     assert lowest > -1e-3 * max(1.0, np.abs(K).max() * 1e-3)
+
+
+def test_an_element_without_an_energy_says_so():
+    system = tiny_system("membrane_elasticity")
+
+    class Motor(Element):
+        name = "motor"
+
+    with pytest.raises(ParameterError, match="motor is not the gradient of an energy"):
+        Motor().energy(system.configuration(0.0, system.x0))

@@ -261,7 +261,7 @@ class Element:
 
     def energy(self, s: Configuration) -> float:
         """Stored energy, pN um, whose negative gradient the efforts are."""
-        raise NotImplementedError(f"{self.name} is not the gradient of an energy")
+        raise ParameterError(f"{self.name} is not the gradient of an energy; ask those that are")
 
     def rates(self, s: Configuration, v: dict[str, np.ndarray], out: tuple) -> None:
         """Rates of the internal states, given node velocities v, um/s."""
