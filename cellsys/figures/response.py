@@ -103,9 +103,10 @@ def nyquist(result: FrequencyResponse | Margins, ax: Axes | None = None) -> Axes
     """
     ax = axes_of(ax, None)
     lines, _, _ = _lines(result)
-    for number, (value, _) in enumerate(lines):
+    for number, (value, channel) in enumerate(lines):
         shown = _pull_in(value)
-        (line,) = ax.plot(shown.real, shown.imag, lw=1.5, label=f"locus {number + 1}")
+        label = channel or f"locus {number + 1}"
+        (line,) = ax.plot(shown.real, shown.imag, lw=1.5, label=label)
         ax.plot(shown.real, -shown.imag, "--", lw=1, color=line.get_color())
         if len(shown) > 3:
             at = int(np.argmin(np.abs(np.abs(shown) - np.median(np.abs(shown)))))

@@ -34,14 +34,14 @@ def disk_margin(loci: Loci) -> tuple[float, float]:
     if M is None and not discrete:
         return 0.0, top  # I + L is singular at infinity
     size = _of_matrices(loci) if M is None else _of_system(M)
-    values = size(loci.omega)
-    i = int(np.argmax(values))
-    omega, peak = float(loci.omega[i]), float(values[i])
     by_levels = (
         M if M is not None and loci.fitting is not None and 2 * M.n_states <= _ROWS else None
     )
     if by_levels is None:
-        omega, peak = _climbed(size, loci.omega, values)
+        omega, peak = _climbed(size, loci.omega, size(loci.omega))
+    else:  # the L at hand says where to begin, and M how large it is there
+        omega = float(loci.omega[np.argmax(_of_values(loci.L))])
+        peak = float(size(np.array([omega]))[0])
     for end in (0.0, top):
         if M is not None and np.isinf(end):
             value = _largest(M.D[:, :, None])[0]
@@ -85,18 +85,25 @@ def _of_system(M: Realization) -> Size:
 
 
 def _of_matrices(loci: Loci) -> Size:
-    I = np.eye(loci.system.n_inputs)  # noqa: E741
+    return lambda omega: _of_values(loci.evaluate(s_plane(omega, loci.system.dt)))
 
-    def size(omega: np.ndarray) -> np.ndarray:
-        L = np.moveaxis(loci.evaluate(s_plane(omega, loci.system.dt)), -1, 0)
-        out = np.full(len(L), np.inf)
-        F = np.where(np.isfinite(L), L, 0.0) + I
-        regular = np.isfinite(L).all(axis=(1, 2)) & (np.linalg.svd(F, compute_uv=False)[:, -1] > 0)
-        M = np.linalg.solve(F[regular], I - L[regular])
-        out[regular] = _largest(np.moveaxis(M, 0, -1))
-        return out
 
-    return size
+def _of_values(L: np.ndarray) -> np.ndarray:
+    """Largest singular value of (I + L)^-1 (I - L), from L (q, q, k); inf if I + L is singular."""
+    if len(L) == 1:
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            values = np.abs(1 - L[0, 0]) / np.abs(1 + L[0, 0])
+        return np.where(np.isfinite(values), values, np.inf)
+    L = np.moveaxis(L, -1, 0)
+    I = np.eye(L.shape[1])  # noqa: E741
+    finite = np.isfinite(L).all(axis=(1, 2))
+    L = np.where(finite[:, None, None], L, 0.0)
+    # By its singular values: a solve may call singular what these do not.
+    U, s, Vh = np.linalg.svd(I + L)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        inverse = np.swapaxes(Vh.conj(), 1, 2) / s[:, None, :]
+        M = inverse @ (np.swapaxes(U.conj(), 1, 2) @ (I - L))
+    return np.where(finite, _largest(np.moveaxis(M, 0, -1)), np.inf)
 
 
 def _climbed(size: Size, omega: np.ndarray, values: np.ndarray) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
 Prints how many were tried, held, were refused with a reason, and failed; exit code 1 when any
 failed, each with its smallest parameters and its seed. Cases that are held against an oracle are
-named; they run in all processors but one, beside the rest (``--jobs 1``: in turn with it).
+named; they run in `--jobs` processes beside the rest (``--jobs 1``: in turn with it).
 ``--fuzz scene|run|model`` tries nothing but changed files of one kind: read, built and learned
 from, or refused; in time, in memory, and nothing written outside their folder.
 """

@@ -33,14 +33,14 @@ def split(chosen: Chosen, oracle: bool) -> dict[str, tuple[stress.Case, ...]]:
 
 
 def run(chosen: Chosen, seconds: float, seed: int, jobs: int) -> dict[str, stress.Count]:
-    """`stress.run` with the oracles in `jobs` - 1 processes (in all, where nothing else is asked).
+    """`stress.run` with the oracles in `jobs` processes beside the one of the rest.
 
     With one job everything takes its turn in this process. Each process draws instances of its
     own.
     """
     with_oracle, rest = split(chosen, True), split(chosen, False)
-    beside = jobs if not rest else jobs - 1
-    if beside < 1 or not with_oracle:
+    beside = jobs
+    if beside < 2 or not with_oracle:
         return stress.run(chosen, seconds, seed)
     names = {family: [case.name for case in group] for family, group in with_oracle.items()}
     context = multiprocessing.get_context("spawn")

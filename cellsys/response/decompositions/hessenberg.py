@@ -66,11 +66,9 @@ def controller_hessenberg(A: np.ndarray, b: np.ndarray, C: np.ndarray) -> Contro
     if n > 2:
         lwork = int(lapack.dgehrd_lwork(n, lo=0, hi=n - 1)[0])
         H, tau, _ = lapack.dgehrd(H, lo=0, hi=n - 1, lwork=lwork, overwrite_a=True)
-        for i in range(n - 2):  # apply the reflectors to the rows of C
-            w = H[i + 2 :, i]
-            y = C[:, i + 1] + C[:, i + 2 :] @ w
-            C[:, i + 1] -= tau[i] * y
-            C[:, i + 2 :] -= tau[i] * np.outer(y, w)
+        # The reflectors stand below the first subdiagonal, as those of a QR lie below the diagonal.
+        Q = np.asfortranarray(H[1:, :-1])
+        C[:, 1:] = lapack.dormqr("R", "N", Q, tau, C[:, 1:], max(64, 64 * len(C)))[0]
         H = np.triu(H, -1)
     small = np.flatnonzero(np.abs(np.diagonal(H, -1)) <= 0.01 * EPS * norm)
     r = int(small[0]) + 1 if small.size else n
