@@ -45,7 +45,7 @@ FLOORS = [
     ("contracts", "state_space"),
     ("laws", "store", "linear_systems"),
     ("system", "overdamped", "trajectory", "drawable", "answers"),
-    ("units", "arguments", "kinds", "printable", "shown", "errors", "version"),
+    ("units", "arguments", "kinds", "printable", "shown", "errors", "version", "threads"),
     ("renamed",),
 ]
 FLOOR = {room: height for height, rooms in enumerate(reversed(FLOORS)) for room in rooms}

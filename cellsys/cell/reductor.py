@@ -39,6 +39,7 @@ from cellsys.cell.worth import roll_record
 from cellsys.errors import DataError, ParameterError
 from cellsys.model.sensor import ridge_weights
 from cellsys.samples.snapshots import Snapshots
+from cellsys.threads import one_thread
 from cellsys.trajectory import cell_names
 
 
@@ -114,6 +115,7 @@ class Equivariant:
         _, features = self._represent(records)
         return smallest_order([f for _, f in features], tol) + 2
 
+    @one_thread()
     def fit(
         self,
         data: Snapshots,
@@ -148,6 +150,7 @@ class Equivariant:
         model = replace(model, sensor=sensor_of(model, data, records, test, held))
         return replace(model, card=card_of(model, data, records, held, test))
 
+    @one_thread()
     def fit_records(
         self,
         records: Sequence[CellRecord],
@@ -198,6 +201,7 @@ class Equivariant:
         start = np.mean([model.encode_cell(r.nodes[:1], r.loads[:1])[0] for r in records], axis=0)
         return replace(model, z_start=start)
 
+    @one_thread()
     def left_out(
         self, records: Sequence[CellRecord], data: Snapshots, order: int, sites: PortSites
     ) -> tuple[list[dict[str, np.ndarray]], list[np.ndarray]]:

@@ -72,7 +72,7 @@ def bode(result: FrequencyResponse | Margins, ax: Axes | Pair | None = None) -> 
                 upper.plot(at, -20 * np.log10(factor), "o", color="C3", ms=5)
         text = f"gain margin {margins.gain_margin:.4g}, phase margin {margins.phase_margin:.4g} deg"
         upper.set_title(text, fontsize="medium")
-    if any(label for _, label in lines):
+    if any(name for _, name in lines):
         upper.legend(fontsize="small")
     labelled(upper, "frequency (rad/s)" if lower is None else "", "|G| (dB)")
     if lower is not None:
@@ -104,9 +104,8 @@ def nyquist(result: FrequencyResponse | Margins, ax: Axes | None = None) -> Axes
     ax = axes_of(ax, None)
     lines, _, _ = _lines(result)
     for number, (value, channel) in enumerate(lines):
-        shown = _pull_in(value)
-        label = channel or f"locus {number + 1}"
-        (line,) = ax.plot(shown.real, shown.imag, lw=1.5, label=label)
+        shown, name = _pull_in(value), channel or f"locus {number + 1}"
+        (line,) = ax.plot(shown.real, shown.imag, lw=1.5, label=name)
         ax.plot(shown.real, -shown.imag, "--", lw=1, color=line.get_color())
         if len(shown) > 3:
             at = int(np.argmin(np.abs(np.abs(shown) - np.median(np.abs(shown)))))

@@ -32,6 +32,7 @@ from cellsys.integrate.record import (
 from cellsys.integrate.step_runs import refuse_integrator, simulate_steps
 from cellsys.kinds import Seed
 from cellsys.system import Event, OdeSystem
+from cellsys.threads import one_thread
 from cellsys.trajectory import ErrorEstimate, Trajectory
 from cellsys.units import real_array
 
@@ -39,6 +40,7 @@ SEGMENT = 20  # samples between two checkpoints
 
 
 @checked
+@one_thread()
 def simulate(
     system: OdeSystem | StepSystem,
     integrator: Integrator | None,

@@ -20,12 +20,14 @@ from cellsys.model.poles import certainty_of
 from cellsys.reduction.basis import Basis, fit_basis, truncated
 from cellsys.response.certainty import PoleCertainty
 from cellsys.samples.snapshots import RunData, Snapshots
+from cellsys.threads import one_thread
 
 GROUPS = 20
 STRETCHES = 8
 
 
 @checked
+@one_thread()
 def pole_certainty(
     data: Snapshots,
     method: Reductor,

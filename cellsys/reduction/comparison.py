@@ -22,6 +22,7 @@ from cellsys.reduction.reduce import brings_basis, completed, described, name_of
 from cellsys.reduction.ridge import Ridge
 from cellsys.samples.provenance import repeated_runs
 from cellsys.samples.snapshots import Snapshots
+from cellsys.threads import one_thread
 
 METHODS = (PCR(), LeastSquares(), Ridge(), Contractive())
 
@@ -121,6 +122,7 @@ class Comparison(Drawable):
 
 
 @checked
+@one_thread()
 def compare_reductors(
     train: Snapshots,
     test: Snapshots,

@@ -18,6 +18,7 @@ from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis, t
 from cellsys.reduction.certainty import refits
 from cellsys.reduction.pcr import PCR
 from cellsys.samples.snapshots import Snapshots
+from cellsys.threads import one_thread
 from cellsys.units import real_number
 from cellsys.worth.assessment import Encoded, assess, encode_all, encode_start
 
@@ -118,6 +119,7 @@ def certain(model: ReducedModel, data: Snapshots, method: Regression, basis: Bas
 
 
 @checked
+@one_thread()
 def reduce_orders(
     data: Snapshots,
     methods: Sequence[Reductor],

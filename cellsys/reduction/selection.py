@@ -25,6 +25,7 @@ from cellsys.reduction.basis import check_order
 from cellsys.reduction.comparison import measured, refuse_shared_runs
 from cellsys.reduction.reduce import described, name_of, reduce
 from cellsys.samples.snapshots import Snapshots
+from cellsys.threads import one_thread
 
 
 @checked
@@ -127,6 +128,7 @@ def _number(value: float) -> str:
 
 
 @checked
+@one_thread()
 def select_model(
     data: Snapshots,
     methods: Sequence[Reductor],
@@ -307,6 +309,7 @@ class LearningCurve(Drawable):
 
 
 @checked
+@one_thread()
 def learning_curve(
     train: Snapshots,
     test: Snapshots,

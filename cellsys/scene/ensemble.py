@@ -24,10 +24,11 @@ from cellsys.scene.executors import executor_of, gather
 from cellsys.scene.load import scene_from_plain
 from cellsys.scene.memory import check_mapping, check_scene_memory, memory_need
 from cellsys.scene.scene import Scene
-from cellsys.scene.workers import Workers, end_with_parent, one_thread
+from cellsys.scene.workers import Workers, end_with_parent
 from cellsys.store.processor import processor_kind
 from cellsys.store.runs import RunReader, RunWriter
 from cellsys.system import Event, OdeSystem
+from cellsys.threads import one_thread
 from cellsys.trajectory import Trajectory
 
 

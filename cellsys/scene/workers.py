@@ -16,7 +16,7 @@ import threading
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from types import TracebackType
@@ -26,10 +26,6 @@ from threadpoolctl import threadpool_limits
 
 from cellsys.errors import CellsysError, ExecutorError, MemoryBudgetError
 
-THREADS = (
-    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)  # fmt: skip
 _WATCH = "cellsys parent watch"
 _LOOK = 1.0  # s between two looks at the parent where nothing tells of its death
 _LEAVE = 5.0  # s for a worker without work to end by itself
@@ -171,8 +167,7 @@ def _serve(line: Connection) -> None:
         # Ctrl-C reaches the workers too, and ends them without a traceback.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     end_with_parent(at_once=True)
-    if not told_threads():
-        threadpool_limits(1)
+    threadpool_limits(1)  # also of what a task imports later: many processes share the processors
     line.send((_READY, None))
     while True:
         try:
@@ -190,25 +185,6 @@ def _serve(line: Connection) -> None:
         if sending.error is not None:  # it cannot be pickled
             text = f"{type(outcome.error).__name__}: {outcome.error}"
             line.send(("failed", ExecutorError(f"in a worker process: {text}")))
-
-
-def told_threads() -> bool:
-    """Whether the user has said how many threads linear algebra may use."""
-    return any(name in os.environ for name in THREADS)
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """One thread for linear algebra; a user's setting stays.
-
-    Sums over several threads are taken in another order: a run here has the same bits as one by a
-    worker. The number belongs to the whole process, so only its main thread sets it.
-    """
-    if told_threads() or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    with threadpool_limits(1):
-        yield
 
 
 def end_with_parent(*, at_once: bool = False) -> None:

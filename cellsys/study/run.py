@@ -44,6 +44,7 @@ from cellsys.study.summary import (
     Verdict,
     table_of,
 )
+from cellsys.threads import one_thread
 from cellsys.trajectory import Trajectory
 from cellsys.worth.assessment import encode_start
 
@@ -58,6 +59,7 @@ Progress = Callable[[str, float], None]
 
 
 @checked
+@one_thread()
 def study(
     scene: Scene | str | Path,
     out: str | Path,

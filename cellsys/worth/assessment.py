@@ -15,6 +15,7 @@ from cellsys.model.card import Card, resolution, verdict
 from cellsys.model.poles import fastest_growth
 from cellsys.samples.provenance import constant_commands, data_hash, repeated_runs, repeats
 from cellsys.samples.snapshots import RunData, Snapshots
+from cellsys.threads import one_thread
 from cellsys.worth.baselines import command_baselines
 from cellsys.worth.errors import mse, relative, root_mean_square
 
@@ -264,6 +265,7 @@ def _has_coordinates(model: ReducedModel, data: Snapshots) -> bool:
 
 
 @checked
+@one_thread()
 def assess(
     model: ReducedModel,
     data: Snapshots,

@@ -1,20 +1,20 @@
 """Runs of scenes: cached, resumable, the same numbers in one process or two."""
 
 import json
-import os
 import platform
 import shutil
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from cellsys.errors import DamagedRunWarning, FileFormatError, ForeignRunWarning, LostRunError
 from cellsys.scene import Scene, run_ensemble, run_scene
 from cellsys.scene import ensemble as room
 from cellsys.scene.ensemble import read_run
-from cellsys.scene.workers import THREADS, Workers, one_thread
+from cellsys.scene.workers import Workers
 from cellsys.store import processor
+from cellsys.threads import one_thread
 from tests.mechanics.scenes import table
 from tests.study.scenes import TINY
 
@@ -181,19 +181,14 @@ def blas_threads():
     return sorted({lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas"})
 
 
-def test_workers_use_one_thread_each_unless_told_otherwise(monkeypatch):
-    for name in THREADS:
-        monkeypatch.delenv(name, raising=False)
-    with Workers(1) as workers:
-        assert list(workers.run(blas_threads, [()])) == [[1]]
-    before = blas_threads()
-    with one_thread():  # as a run in this process
-        assert blas_threads() == [1]
-    assert blas_threads() == before
-    monkeypatch.setenv(THREADS[1], "2")
-    with Workers(1) as workers:
-        told = next(iter(workers.run(blas_threads, [()])))
-    # OpenBLAS starts no more threads than there are processors
-    assert told == [min(2, os.cpu_count())]
-    with one_thread():
+def test_small_matrices_are_looped_over_in_one_thread_whatever_was_set():
+    with threadpool_limits(2):
+        with Workers(1) as workers:
+            assert list(workers.run(blas_threads, [()])) == [[1]]
+        before = blas_threads()
+        with one_thread():  # as a run in this process
+            assert blas_threads() == [1]
+            with one_thread():
+                pass
+            assert blas_threads() == [1]
         assert blas_threads() == before
