@@ -63,6 +63,26 @@ def exact_step(p: np.ndarray, d: np.ndarray, kappa: float, dt: float) -> np.ndar
     return length * (turned - 0.5 * excess * turned)
 
 
+def symbolic_step(p: Vector, d: Vector, kappa: float | Vector, dt: float) -> Vector:
+    """`exact_step` on CasADi expressions: both equilibria stay, d = 0 turns nothing."""
+    ops = operations(p, d)
+
+    def size(v: Vector) -> Vector:
+        return ops.sqrt(ops.dot(v, v) + 1e-300)
+
+    length, strength = size(p), size(d)
+    p_unit, d_unit = p / length, d / strength
+    s = 0.5 * ops.dot(p_unit + d_unit, p_unit + d_unit)
+    r = 0.5 * ops.dot(p_unit - d_unit, p_unit - d_unit)
+    decay = ops.exp(-kappa * length * strength * dt)
+    across = p_unit - ops.dot(p_unit, d_unit) * d_unit
+    across = across - ops.dot(across, d_unit) * d_unit
+    turned = 2.0 * decay * across + (s - decay * decay * r) * d_unit
+    turned = turned / size(turned)
+    excess = ops.dot(turned - p_unit, turned + p_unit)
+    return ops.where(s * ops.dot(d, d) > 0, length * (turned - 0.5 * excess * turned), p)
+
+
 def exact_steps(p: np.ndarray, d: np.ndarray, kappa: float, dt: float) -> np.ndarray:
     """`exact_step` for many cells: p, d and the result are (K, 3)."""
     length, strength = (np.hypot(np.hypot(v[:, 0], v[:, 1]), v[:, 2]) for v in (p, d))

@@ -73,7 +73,8 @@ def read_points(field: MatrixField, points: np.ndarray | None) -> np.ndarray:
     return np.asarray(field.project(unit.reshape(len(rows), -1, 3)))
 
 
-def _point_names(name: str, U: np.ndarray) -> list[str]:
+def point_names(name: str, U: np.ndarray) -> list[str]:
+    """``load1_x, load1_y, ...`` of the rows of U."""
     return vector_names("", [f"{name}{i}" for i in range(1, len(U) // 3 + 1)])
 
 
@@ -86,7 +87,7 @@ def linear_plant(
     K, m = len(cells.coupling.positions), cell.order
     U = read_points(field, points)
     B = np.hstack([G @ np.kron(np.eye(K), cell.B), cells.given_loads @ U.T])
-    inputs = [*command_names(cell.input_names, K), *_point_names("load", U)]
+    inputs = [*command_names(cell.input_names, K), *point_names("load", U)]
     if offset == "input":
         B = np.column_stack([B, G @ np.tile(cell.offset, K)])
         inputs.append(ONE)
@@ -101,7 +102,7 @@ def linear_plant(
         0 if cell.dt is None else cell.dt,
         states=states,
         inputs=inputs,
-        outputs=[*states, *_point_names("matrix", U)],
+        outputs=[*states, *point_names("matrix", U)],
         name=f"ported_cells_K{K}",
     )
 
@@ -208,7 +209,7 @@ def moving_plant(
     C, D, outputs = _outputs(places, steered, U, K * m, drive.shape[1])
     inputs = [
         *command_names(names if exact else ("amplitude", "heading"), K),
-        *_point_names("load", U),
+        *point_names("load", U),
         ONE,
     ]
     if offset == "drop":
@@ -260,7 +261,7 @@ def _outputs(
     size = n_z + n + 2 * K
     C = [np.hstack([np.zeros((len(U), n_z)), U, np.zeros((len(U), 2 * K))])]
     D = [np.zeros((len(U), n_in))]
-    names = _point_names("matrix", U)
+    names = point_names("matrix", U)
     for k, one in enumerate(steered):
         centre, turned = np.zeros((4, size)), np.zeros((4, n_in))
         centre[[0, 1], [n_z + n + 2 * k, n_z + n + 2 * k + 1]] = 1.0
