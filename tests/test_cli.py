@@ -322,7 +322,11 @@ def test_effects_and_schema(call, tmp_path):
 def test_run_writes_a_study_and_prints_its_verdict(call, tmp_path):
     (tmp_path / "s.toml").write_text(TINY)
     code, out, err = call("run", "s.toml", "--order", 4, "--workers", 1)
-    assert (code, err) == (0, "")
+    assert code == 0
+    (plan,) = err.splitlines()
+    assert re.match(
+        r"8 full-order runs of up to 40 s, then models: about \d+ s and .* on disk", plan
+    )
     assert "What these models can be trusted for" in out
     folder = tmp_path / "out" / "s"
     assert (folder / "report.html").exists()

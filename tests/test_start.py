@@ -4,7 +4,10 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+
+from tests.loop.systems import make
 
 ROOT = Path(__file__).resolve().parent.parent
 HEAVY = ("control", "casadi", "matplotlib", "numba")
@@ -60,3 +63,23 @@ def test_help_is_quick():
     # naive: a command line that loads what its commands may need
     heavy = "; ".join(f"import {name}" for name in HEAVY)
     assert seconds("-c", f"{heavy}; import matplotlib.pyplot, scipy.linalg") > 5.0 * numpy
+
+
+def test_a_saved_model_is_asked_without_heavy_libraries(tmp_path):
+    """`poles`, `bode` and `stability` need no python-control, which is half of their time, no
+    compiled kernels and no matplotlib."""
+    loop = make(planar=True)
+    path = replace(loop.model, sensor=loop.sensor).save(tmp_path / "model.npz")
+    for command in ("poles", "bode", "stability"):
+        code = (
+            f"import sys; sys.argv = ['cellsys', {command!r}, {str(path)!r}]\n"
+            "import cellsys.cell.model\n"
+            "from cellsys.cli import main\n"
+            "try:\n    main()\nexcept SystemExit as end:\n    assert not end.code\n"
+            f"print([m for m in {HEAVY!r} if m in sys.modules])"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+        )
+        # bode runs the loop to where it is linearised, by CVODES of casadi
+        assert done.stdout.splitlines()[-1] == ("['casadi']" if command == "bode" else "[]")

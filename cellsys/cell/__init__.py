@@ -1,23 +1,20 @@
-"""The equivariant cell: a reduced cell that respects rotations and mirror images."""
+"""The equivariant cell: a reduced cell that respects rotations and mirror images.
 
-from cellsys.cell.forecast import ErrorBands, Forecast, ValidityMonitor
-from cellsys.cell.model import EquivariantModel
-from cellsys.cell.on_field import CellsOnField
-from cellsys.cell.on_matrix import with_matrix
-from cellsys.cell.port import PolarPort
-from cellsys.cell.reductor import Equivariant
-from cellsys.cell.schedule import Clock
-from cellsys.cell.worth import realisation_floor
+A model is read and asked without what trains it: compiled kernels are loaded where they are used.
+"""
 
-__all__ = [
-    "CellsOnField",
-    "Clock",
-    "Equivariant",
-    "EquivariantModel",
-    "ErrorBands",
-    "Forecast",
-    "PolarPort",
-    "ValidityMonitor",
-    "realisation_floor",
-    "with_matrix",
-]
+import lazy_loader as _lazy
+
+__getattr__, __dir__, __all__ = _lazy.attach(
+    __name__,
+    submod_attrs={
+        "forecast": ["ErrorBands", "Forecast", "ValidityMonitor"],
+        "model": ["EquivariantModel"],
+        "on_field": ["CellsOnField"],
+        "on_matrix": ["with_matrix"],
+        "port": ["PolarPort"],
+        "reductor": ["Equivariant"],
+        "schedule": ["Clock"],
+        "worth": ["realisation_floor"],
+    },
+)

@@ -63,12 +63,11 @@ def load_model(path: Path) -> AffineModel:
 @app.command()
 def poles(model: ModelFile, as_json: Json = False) -> None:
     """Poles of a model: frequency, damping, time constant."""
-    from cellsys.cell import EquivariantModel
+    from cellsys.cell.model import EquivariantModel
     from cellsys.response import damping
-    from cellsys.study.run import plant_of
 
     loaded = load_model(model)
-    plant = plant_of(loaded)
+    plant = loaded.realization()
     table = damping(plant, certainty=loaded.certainty(discrete=plant.dt > 0))
     labelled = loaded.labelled_poles() if isinstance(loaded, EquivariantModel) else ()
     if as_json:
@@ -119,8 +118,8 @@ def bode(
     if at is not None:
         _bode_along(loaded, at, horizon, out, as_json)
         return
-    point = (loop := closed_loop(loaded)).linearize(horizon, slower_than=1.0 / horizon)
-    result = margins(loop.open_loop(point))
+    point = closed_loop(loaded).linearize(horizon, slower_than=1.0 / horizon)
+    result = margins(point.return_ratio())
     if out is not None:
         from cellsys.figures import bode as draw
         from cellsys.figures import save_png, sheet
@@ -141,7 +140,7 @@ def _bode_along(
     """Margins and Bode plot of a scheduled loop frozen at several times."""
     import numpy as np
 
-    from cellsys.cell import EquivariantModel
+    from cellsys.cell.model import EquivariantModel
     from cellsys.errors import ParameterError
     from cellsys.loop import closed_loop
 
@@ -173,10 +172,9 @@ def _bode_along(
 def stability(model: ModelFile, as_json: Json = False) -> None:
     """Stability of a model's plant and the reason; open where rounding or the data leave it."""
     from cellsys.response import stability as judge
-    from cellsys.study.run import plant_of
 
     loaded = load_model(model)
-    plant = plant_of(loaded)
+    plant = loaded.realization()
     report = judge(plant, certainty=loaded.certainty(discrete=plant.dt > 0))
     if as_json:
         dump(

@@ -34,6 +34,14 @@ def run(
         Path | None,
         typer.Option("--model", help="Equivariant model of one cell, run beside several cells."),
     ] = None,
+    learn: Annotated[
+        bool | None,
+        typer.Option(
+            "--learn/--no-learn",
+            help="Learn models; default: where the scene has a [training] table.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -50,7 +58,7 @@ def run(
         try:
             result = study(
                 plan, folder, order=order, workers=workers, resume=resume, model=model,
-                progress=progress,
+                learn=learn, announce=None if quiet else note, progress=progress,
             )  # fmt: skip
         except KeyboardInterrupt as stop:
             sys.exit(say_ending(stop, "add --resume to go on from here"))

@@ -40,6 +40,7 @@ from cellsys.loop.modal import set_apart_text, split_slow
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.model.poles import KnowsCertainty
 from cellsys.model.sensor import StiffnessSensor
+from cellsys.response.realization import Realization
 from cellsys.samples.commands import feature_of
 from cellsys.state_space import state_space
 from cellsys.system import Block, Layout
@@ -93,6 +94,17 @@ class Linearisation(Drawable):
         A = self.A.copy()
         A[-1] *= factor
         return A
+
+    def return_ratio(self) -> Realization:
+        """The loop cut at kappa, for negative feedback: see `ClosedLoop.open_loop`."""
+        m = len(self.A_plant)
+        A = np.zeros((m + 1, m + 1))
+        A[:m, :m], A[:m, m] = self.A_plant, self.B_heading
+        B = np.zeros((m + 1, 1))
+        B[m, 0] = self.kappa
+        C = np.concatenate([-self.S_heading, [self.strength]])[None]
+        names = (*(f"z[{i}]" for i in range(m)), "xi")
+        return Realization(A, B, C, states=names, inputs=("v",), outputs=("y",))
 
     def __str__(self) -> str:
         where = "equilibrium" if self.residual < 1e-9 else "frozen time, not an equilibrium"
@@ -279,21 +291,16 @@ class ClosedLoop:
         `Linearisation` or what `linearize` takes.
         """
         point = at if isinstance(at, Linearisation) else self.linearize(at)
-        m = len(point.A_plant)
-        A = np.zeros((m + 1, m + 1))
-        A[:m, :m], A[:m, m] = point.A_plant, point.B_heading
-        B = np.zeros((m + 1, 1))
-        B[m, 0] = point.kappa
-        C = np.concatenate([-point.S_heading, [point.strength]])[None]
+        ratio = point.return_ratio()
         return state_space(
-            A,
-            B,
-            C,
-            np.zeros((1, 1)),
+            ratio.A,
+            ratio.B,
+            ratio.C,
+            ratio.D,
             0,
-            states=[*(f"z[{i}]" for i in range(m)), "xi"],
-            inputs=["v"],
-            outputs=["y"],
+            states=ratio.states,
+            inputs=ratio.inputs,
+            outputs=ratio.outputs,
             name="return_ratio_kappa",
         )
 

@@ -161,7 +161,7 @@ class ScheduledLoop:
         found = {}
         for t in np.atleast_1d(np.asarray(times, dtype=float)):
             point = self.linearize(float(t), slower_than=slower_than)
-            found[float(t)] = margins(self.frozen(float(t)).open_loop(point))
+            found[float(t)] = margins(point.return_ratio())
         return found
 
     def frozen(self, t: float, z: np.ndarray | None = None) -> ClosedLoop:

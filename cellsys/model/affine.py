@@ -19,6 +19,7 @@ from cellsys.model.poles import certainty_of, continuous_poles, pole_set
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.model.trained_range import Flag, TrainedRange
 from cellsys.response.certainty import PoleCertainty
+from cellsys.response.realization import Realization
 from cellsys.response.roots import RootSet
 from cellsys.state_space import state_space
 
@@ -77,6 +78,17 @@ class AffineModel(Drawable, ABC):
         if self.dt is None:
             return self.A, self.B, self.offset
         return to_continuous(self.A, self.B, self.offset, self.dt)
+
+    def realization(self) -> Realization:
+        """`plant(offset="drop")` as matrices alone: with the model's own step where no continuous
+        form exists.
+        """
+        try:
+            A, B, _ = self.continuous_matrices()
+            return Realization(A, B, np.eye(self.order))
+        except ParameterError:
+            A, B, _ = self.step_matrices()
+            return Realization(A, B, np.eye(self.order), dt=self.dt or 0.0)
 
     def poles(self) -> np.ndarray:
         """Continuous poles (m,), 1/s: eig(A), or log(eig(I + dt A))/dt of a step model."""

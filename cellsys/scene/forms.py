@@ -147,6 +147,7 @@ def _plane_fields(
         effects=_effects(parsed.effects, registry),
         commands=_commands(parsed.commands),
         training=Training(**parsed.training.model_dump()),
+        learn="training" in parsed.model_fields_set,
     )
 
 

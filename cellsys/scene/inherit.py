@@ -2,7 +2,8 @@
 
 A scene with ``extends = "two_cells"`` (a preset) or ``extends = "base.toml"`` (a file beside it)
 starts from that scene. Its tables are merged key by key; a number, a string or a list, [[cells]]
-among them, replaces the older one. ``effect = false`` under [effects] takes an effect out.
+among them, replaces the older one. ``effect = false`` under [effects] takes an effect out, and
+so does ``false`` a table that may be left out: ``matrix.inclusion = false``, ``training = false``.
 """
 
 from __future__ import annotations

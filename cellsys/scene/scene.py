@@ -41,8 +41,9 @@ class Scene:
 
     Built by `load_scene` or `Scene.parse`; change it with `dataclasses.replace`. Times in s,
     lengths in um, angles in rad. `cells` may be empty (a passive matrix) and `matrix` None (a
-    free membrane), not both. `until` "contact" ends the run where two cells touch, before
-    `duration` if that comes first.
+    free membrane), not both. `learn` says whether `cs.study` learns models from its `training`; a
+    scene file without [training] does not ask for any. `until` "contact" ends the run where two
+    cells touch, before `duration` if that comes first.
 
     Raises
     ------
@@ -59,6 +60,7 @@ class Scene:
     matrix: MatrixKind | None = None
     commands: Commands = field(default_factory=Commands)
     training: Training = field(default_factory=Training)
+    learn: bool = field(default=True, compare=False)
     seed: Seed = 0
     step: float = 0.5
     until: str | None = None
@@ -150,6 +152,7 @@ class Scene:
         table: dict[str, Any] = {
             f.name: _plain(getattr(self, f.name)) for f in dataclasses.fields(self)
         }
+        table.pop("learn")
         if self.until is None:
             table.pop("until")
         if self.matrix is not None:

@@ -9,7 +9,7 @@ from cellsys.scene.inherit import preset_names
 
 
 def for_editors(schema: Mapping[str, object]) -> dict[str, object]:
-    """A pydantic schema without null (TOML has none), with presets and ``effect = false``.
+    """A pydantic schema without null (TOML has none), with presets and ``table = false``.
 
     A scene that extends another one may leave out its name and duration.
     """
@@ -17,8 +17,10 @@ def for_editors(schema: Mapping[str, object]) -> dict[str, object]:
     tables = out.get("$defs", {})
     for name, table in tables.items():
         properties = table.get("properties", {})
-        if name.startswith("EffectsTable"):
-            for key, value in properties.items():
+        effects = name.startswith("EffectsTable")
+        needed = table.get("required", [])
+        for key, value in properties.items():
+            if effects or (key not in needed and _is_table(value)):
                 properties[key] = {"anyOf": [value, {"const": False}]}
         if "extends" in properties:
             properties["extends"]["examples"] = preset_names()
@@ -31,6 +33,12 @@ def for_editors(schema: Mapping[str, object]) -> dict[str, object]:
         "#:schema ./scene.schema.json",
         **out,
     }
+
+
+def _is_table(value: Mapping[str, object]) -> bool:
+    """Whether a key holds a table, which ``false`` takes out of what a scene extends."""
+    options = value.get("anyOf", [value])
+    return isinstance(options, list) and any("$ref" in option for option in options)
 
 
 def _without_null(value: Any) -> Any:

@@ -9,7 +9,15 @@ from functools import lru_cache
 from types import GenericAlias
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, create_model
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    WithJsonSchema,
+    create_model,
+    model_validator,
+)
 from pydantic_core import ErrorDetails
 
 from cellsys.kinds import shown
@@ -22,6 +30,20 @@ class TomlTable(BaseModel):
     """A TOML table whose unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _taken_out(cls, values: object) -> object:
+        """Without the tables that are set to false: what a scene extends had them."""
+        if not isinstance(values, Mapping):
+            return values
+        return {k: v for k, v in values.items() if v is not False or not cls._may_go(k)}
+
+    @classmethod
+    def _may_go(cls, key: str) -> bool:
+        """Whether a key names a table that may be left out."""
+        field = cls.model_fields.get(key)
+        return field is not None and not field.is_required() and bool(_models(field.annotation))
 
 
 def _converter(unit: str) -> Callable[[str | float], float]:

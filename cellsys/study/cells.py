@@ -32,6 +32,7 @@ from cellsys.study.fields import draw_displacement
 from cellsys.study.files import plain, save_run
 from cellsys.study.html import STYLE, image, table
 from cellsys.study.measure import matrix_row, read_out_name, short_number, texts
+from cellsys.study.plan import steered
 from cellsys.study.reduced_cells import ReducedCells, check_model, reduced_cells
 from cellsys.study.summary import CellsSummary, table_of
 from cellsys.trajectory import Trajectory, cell_names
@@ -197,6 +198,8 @@ def _verdict(scene: Scene, run: Trajectory, pairs: Mapping, reduced: ReducedCell
             f"{text}. No model is learned from several cells: learn one from one cell (cellsys run "
             "of a scene with one), and give it here as --model"
         )
+    if steered(scene):
+        return f"{text}. No model was asked for: add a [training] table to the scene, or --learn"
     return f"{text}. Models are learned from scenes with exactly one steered cell on a matrix"
 
 

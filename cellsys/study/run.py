@@ -15,11 +15,9 @@ from cellsys.contracts import LinearModel, ReducedModel
 from cellsys.errors import CellsysError, ParameterError, RankError
 from cellsys.integrate import CVODES
 from cellsys.loop import ClosedLoop, Linearisation, PolarityLaw, closed_loop
-from cellsys.mechanics.crawler import Crawler
 from cellsys.mechanics.effects.steering import Polarity
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.model import LatentModel
-from cellsys.model.affine import AffineModel
 from cellsys.model.card import card_of
 from cellsys.observe import heading_error_deg, summary_of_run
 from cellsys.reduction import PCR, LeastSquares
@@ -34,6 +32,7 @@ from cellsys.study.equivariant import study_equivariant, sweep_row
 from cellsys.study.files import plain, save_run
 from cellsys.study.floors import floor_scenes, measured_floors
 from cellsys.study.measure import margin_table, sweep_orders
+from cellsys.study.plan import StudyPlan, crawls, learns_from, study_plan
 from cellsys.study.result import StudyResult
 from cellsys.study.summary import (
     HeadingError,
@@ -49,8 +48,6 @@ from cellsys.trajectory import Trajectory
 from cellsys.worth.assessment import encode_start
 
 if TYPE_CHECKING:
-    from control import StateSpace
-
     from cellsys.study.cells import CellsStudy
     from cellsys.study.crawler import CrawlerStudy
 
@@ -68,6 +65,8 @@ def study(
     workers: int = 2,
     resume: bool = True,
     model: LinearModel | str | Path | None = None,
+    learn: bool | None = None,
+    announce: Callable[[StudyPlan], None] | None = None,
     progress: Progress | None = None,
 ) -> StudyResult | CrawlerStudy | CellsStudy:
     """From a scene to poles, margins, a closed-loop run and a report.
@@ -92,6 +91,11 @@ def study(
         or BLAS they are started again); False starts them again.
     model : EquivariantModel or path, optional
         Of one cell, run beside a scene of several.
+    learn : bool, optional
+        Learn models from `training_scenes`; default: where the scene file has a [training] table
+        (`Scene.learn`). Without, a steered cell is run and read out like any other scene.
+    announce : callable, optional
+        Called once with what will be run, before it is; not for a scene on a chain.
     progress : callable, optional
         Called with a stage's name and its share done.
     """
@@ -103,10 +107,9 @@ def study(
         scene = load_scene(scene)
     if isinstance(model, (str, Path)):
         model = LatentModel.load(model)
-    crawling = any(isinstance(cell, Crawler) for cell in scene.cells)
-    on_matrix = scene.matrix is not None and not crawling
-    steered = on_matrix and len(scene.cells) == 1 and "lamellipodium" in scene.effects
-    if model is not None and (steered or crawling):
+    learns = learns_from(scene, learn)
+    crawling = crawls(scene)
+    if model is not None and (learns or crawling):
         raise ParameterError(
             "a model is run beside a disc scene of several cells; this one learns its own or has "
             "no disc: leave model out"
@@ -114,14 +117,16 @@ def study(
     if crawling:
         return study_crawler(scene, out, progress)
     folder = Path(out)
-    _check(scene, order if steered else None, folder)
+    _check(scene, order if learns else None, folder)
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise ParameterError(f"workers must be a whole number >= 1, got {workers!r}")
     cache = folder / "runs"
     if not resume and cache.exists():
         for partial in cache.glob("*.partial"):
             discard_partial(partial)
-    if not steered:
+    if announce is not None:
+        announce(study_plan(scene, learn=learns, workers=workers))
+    if not learns:
         return study_cells(scene, folder, workers=workers, model=model, progress=progress)
     say = progress or (lambda stage, share: None)
 
@@ -175,7 +180,7 @@ def study(
         "position_error_um": main.error_of("cell1.position"),
         "matrix_error_um": main.error_of("matrix.displacement"),
     }
-    whole = plant_of(plant)
+    whole = plant.realization()
     plant_report = stability(whole, certainty=plant.certainty(discrete=whole.dt > 0))
     trust = f"PCR: {card_of(plant).verdict}"
     if charges.model is not None:
@@ -238,14 +243,6 @@ def _check(scene: Scene, order: int | None, folder: Path) -> None:
             f"samples, which span at most {max(samples - 1, 0)} directions; lower the order or "
             "lengthen training"
         )
-
-
-def plant_of(model: AffineModel) -> StateSpace:
-    """The model's plant, continuous where it has a continuous form, else with its own step."""
-    try:
-        return model.plant()
-    except ParameterError:
-        return model.plant(discrete=True)
 
 
 def _plant(

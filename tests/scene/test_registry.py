@@ -18,6 +18,7 @@ from cellsys.mechanics.effects import Effect, Element, Port, parameter
 from cellsys.scene import Scene, build, load_scene, preset_names, scene_schema
 from cellsys.scene.inherit import PRESETS
 from cellsys.scene.load import scene_from_plain
+from cellsys.scene.parts import Training
 from cellsys.scene.registry import EFFECTS, LISTED, Registry
 from cellsys.scene.variants import read_setting, split_values, variants, with_value, without
 from tests.mechanics.small_scenes import tiny
@@ -238,6 +239,29 @@ def test_only_false_takes_an_effect_out():
             Scene.parse({"extends": "spreading", "effects": {"volume": value}})
     scene = Scene.parse({"extends": "spreading", "effects": {"volume": False}})
     assert "volume" not in scene.effects
+
+
+def test_false_takes_out_an_inherited_table_that_may_be_left_out():
+    old = load_scene("spreading")
+    assert old.learn
+    assert old.matrix.inclusion is not None
+    new = Scene.parse(
+        {
+            "extends": "spreading",
+            "training": False,
+            "matrix": {"inclusion": False, "gradient": False},
+        }
+    )
+    assert new.matrix == dataclasses.replace(old.matrix, inclusion=None)
+    assert not new.learn
+    assert new.training == Training()
+    for table in ({"matrix": {"diameter": False}}, {"seed": False}, {"matrix": {"x": False}}):
+        with pytest.raises(SceneError):
+            Scene.parse({"extends": "spreading", **table})
+    tables = scene_schema()["$defs"]
+    assert {"const": False} in tables["DiscTable"]["properties"]["inclusion"]["anyOf"]
+    assert {"const": False} in tables["DiscSceneTable"]["properties"]["training"]["anyOf"]
+    assert "const" not in json.dumps(tables["DiscTable"]["properties"]["diameter"])
 
 
 # Variants

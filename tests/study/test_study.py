@@ -25,6 +25,7 @@ from cellsys.observe import heading_deg
 from cellsys.scene import Scene, run_scene
 from cellsys.store import RunReader, load_archive
 from cellsys.study.files import plain
+from cellsys.study.plan import study_plan
 from tests.study.scenes import TINY, tiny
 
 
@@ -291,3 +292,27 @@ def test_study_discards_partial_runs_unless_told_to_resume(tmp_path):
     assert (folder / "header.json").stat().st_mtime_ns == stamp  # the same folder, renamed
     fresh = run_scene(scene(text))
     assert np.array_equal(result.run.x, fresh.x)
+
+
+def test_a_scene_without_training_is_run_and_read_out_only(tmp_path):
+    text = tiny(replace={TINY[TINY.index("[training]") :]: ""})
+    short = scene(text)
+    assert not short.learn
+    result = cs.study(short, tmp_path / "out")
+    assert not list((tmp_path / "out").glob("model*.npz"))
+    assert "[training]" in str(result)
+    plan, learned = study_plan(short), study_plan(short, learn=True)
+    assert (plan.runs, plan.learns) == (1, False)
+    # itself, 8 + 2 of the plan, 3 floors
+    assert (learned.runs, learned.learns) == (14, True)
+    assert learned.seconds > plan.seconds
+    made = sum(f.stat().st_size for f in (tmp_path / "out" / "runs").rglob("*.npy"))
+    assert 0.5 < made / plan.bytes < 1.5
+    assert "1 full-order run of" in str(plan)
+    with pytest.raises(ParameterError, match="exactly one steered cell"):
+        study_plan(cs.load_scene("passive_matrix"), learn=True)
+
+
+def test_models_are_learned_where_the_scene_has_a_training_table():
+    assert study_plan(scene()).learns
+    assert not study_plan(scene(), learn=False).learns
