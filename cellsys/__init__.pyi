@@ -33,6 +33,7 @@ from .errors import (
     UnknownNameError,
 )
 from .integrate import (
+    BDF2,
     CVODES,
     DOP853,
     IDAS,

@@ -35,6 +35,7 @@ from tests.naive_mechanics import (  # noqa: F401
     sign_steps,
     spring_force,
     tolerance_taken,
+    two_step_extrapolation,
 )
 
 

@@ -1,5 +1,6 @@
 """Integrator objects and `simulate`: problem, method, data, in that order."""
 
+from cellsys.integrate.bdf2 import BDF2
 from cellsys.integrate.explicit import ExplicitEuler, stability_limit
 from cellsys.integrate.exponential import Exponential
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
@@ -22,6 +23,7 @@ from cellsys.renamed import old_names
 __getattr__ = old_names(__name__)
 
 __all__ = [
+    "BDF2",
     "CVODES",
     "DOP853",
     "IDAS",

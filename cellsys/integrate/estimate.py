@@ -2,9 +2,9 @@
 
 A method with a tolerance controls the error of one step; what is left at the end of a run is the
 sum of what the steps did, carried along by the flow, and can be a hundred times the tolerance.
-Three ways to find it, in order of preference: the method's own second solution, the same run at
-a tenth of the tolerance (or half the step), and for first-order steppers the leading term of
-their error, read from the samples.
+Ways to find it, in order of preference: the method's own second solution, the same run at a
+tenth of the tolerance (or half the step), and for steppers what their samples and log tell: of a
+first-order one the leading term of its error, of a second-order one what the laws left over.
 """
 
 from __future__ import annotations
@@ -151,3 +151,18 @@ def first_order(t: np.ndarray, x: np.ndarray, step: float) -> ErrorEstimate:
     rate = np.diff(x, axis=0) / np.diff(t)[:, None]
     absolute = 0.5 * step * np.abs(rate[1:] - rate[0]).max(axis=0)
     return ErrorEstimate(absolute, scale, "leading first-order term", clock.perf_counter() - began)
+
+
+def left_over(t: np.ndarray, x: np.ndarray, residual: np.ndarray) -> ErrorEstimate:
+    """Largest sum over time of the logged step residual (T - 1, n), |sum of r_k (t_k+1 - t_k)|.
+
+    The residual is what the rate of the samples is off the laws, so this is the error that it
+    leads to when none is damped: for a system that contracts it errs on the large side.
+    """
+    began = clock.perf_counter()
+    scale, total = np.abs(x).max(axis=0), np.zeros(x.shape[1])
+    most = np.zeros_like(total)
+    for row, dt in zip(residual, np.diff(t).tolist(), strict=True):
+        total += dt * row
+        np.maximum(most, np.abs(total), out=most)
+    return ErrorEstimate(most, scale, "sum of the step residual", clock.perf_counter() - began)

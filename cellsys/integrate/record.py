@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.errors import DataError, DimensionError
-from cellsys.integrate.estimate import first_order
+from cellsys.integrate.estimate import first_order, left_over
 from cellsys.store.memory import available_memory as available_memory
 from cellsys.store.memory import check_memory
 from cellsys.system import Block, Event, Layout, OdeSystem
@@ -108,8 +108,10 @@ def trajectory_of(
     """A `Trajectory` over recorded arrays; `states`: of x, where it does not hold the system's."""
     full = "eta" in arrays
     if estimator is None and "step" in statistics:
-        # A first-order stepper: its error is read from the samples.
+        # A stepper: its error is read from the samples, of a second-order one from the log.
         def estimator() -> ErrorEstimate:
+            if statistics.get("order", 1) > 1:
+                return left_over(t, arrays["x"], arrays["eta"][:, system.auxiliaries.size :])
             return first_order(t, arrays["x"], float(statistics["step"]))
 
     return Trajectory(

@@ -16,6 +16,7 @@ from cellsys.integrate.capabilities import (
     FixedSteps,
     JudgesItself,
     ObservesRows,
+    Ordered,
     Shows,
 )
 from cellsys.integrate.estimate import estimate_of
@@ -63,8 +64,8 @@ def simulate(
     system : OdeSystem or StepSystem
         What to integrate, or what steps by itself: states, x0, dt and step(x, u, t) -> x+.
     integrator : object of `cellsys.integrate`; None for a StepSystem
-        How; it carries its step or tolerances. LinearlyImplicit, RKC and ExplicitEuler are for
-        full-order models, Exponential for closed loops on latent models, CVODES, IDAS,
+        How; it carries its step or tolerances. LinearlyImplicit, BDF2, RKC and ExplicitEuler are
+        for full-order models, Exponential for closed loops on latent models, CVODES, IDAS,
         Collocation and RungeKutta4 for systems with a symbolic form; DOP853, Radau and LSODA
         take any system and locate its events.
     t : array (T,)
@@ -262,8 +263,11 @@ def _march(
         statistics["samples"] = count
     if isinstance(integrator, FixedSteps) and not isinstance(integrator, JudgesItself):
         step = integrator.step
-        if step is not None:
+        order = integrator.order if isinstance(integrator, Ordered) else 1
+        if step is not None and (order == 1 or auxiliaries):  # without its log it runs again
             statistics |= {"step": float(step), "estimate_is_quick": True}
+            if order > 1:
+                statistics["order"] = order
     return count, wall, statistics, tuple(stepper.events)
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from cellsys.errors import IntegrationError, ParameterError
 from cellsys.integrate import (
+    BDF2,
     CVODES,
     DOP853,
     IDAS,
@@ -37,7 +38,7 @@ def test_rkc_gives_up_where_the_right_hand_side_jumps():
     CVODES(rtol=1e-6, atol=1e-6), IDAS(rtol=1e-6, atol=1e-6), Collocation(step=0.5),
     RungeKutta4(step=0.5), Exponential(step=0.5), DOP853(rtol=1e-6, atol=1e-6),
     Radau(rtol=1e-6, atol=1e-6), LSODA(rtol=1e-6, atol=1e-6), RKC(rtol=1e-4, atol=1e-4),
-    LinearlyImplicit(step=0.05), ExplicitEuler(step=0.01),
+    LinearlyImplicit(step=0.05), BDF2(step=0.05), ExplicitEuler(step=0.01),
 ], ids=lambda m: type(m).__name__)  # fmt: skip
 def test_every_integrator_counts_alike(method):
     system = Springs() if hasattr(method, "start") else scalar(lambda t, x: [-x[0]])

@@ -15,6 +15,7 @@ from cellsys.errors import (
     ParameterError,
 )
 from cellsys.integrate import (
+    BDF2,
     CVODES,
     ExplicitEuler,
     LinearlyImplicit,
@@ -29,6 +30,7 @@ from tests.naive import lagged_tangent_velocities
 
 TIMES = np.arange(0.0, 13.0, 1.0)
 FIXED = [ExplicitEuler, LinearlyImplicit]
+IMPLICIT = [LinearlyImplicit, BDF2]
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +77,7 @@ def test_cvodes_follows_its_tolerance():
     assert tight < loose
 
 
-@pytest.mark.parametrize("method", FIXED)
+@pytest.mark.parametrize("method", [*FIXED, BDF2])
 def test_every_logged_sample_obeys_the_equation(method):
     """(x_k+1 - x_k)/dt = W_x x + W_eta eta + u + step_residual to rounding, and it shrinks."""
     share = []
@@ -97,11 +99,12 @@ def test_explicit_euler_leaves_nothing_over():
     assert np.abs(run.auxiliary("step_residual")).max() < 1e-12
 
 
-def test_a_large_majorant_is_stable_and_a_small_one_oscillates():
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_a_large_majorant_is_stable_and_a_small_one_oscillates(method):
     """M = 1.3 K and 3 K are stable at 100 times the explicit limit; M = 0.4 K is a two-cycle."""
     stiff = {"stiffness": 5e3, "pull": 1.0}
     for factor in (0.76, 1.3, 3.0):
-        run = simulate(Springs(factor=factor, **stiff), LinearlyImplicit(step=0.05), TIMES)
+        run = simulate(Springs(factor=factor, **stiff), method(step=0.05), TIMES)
         assert np.abs(run.x).max() < 0.01
     sign = lagged_tangent_velocities(Springs(**stiff), factor=0.4, step=0.05)
     assert np.sum(sign[1:] * sign[:-1] < 0) > 0.9 * (len(sign) - 1)
@@ -157,16 +160,16 @@ class Pulsed(Springs):
         return out
 
 
-@pytest.mark.parametrize("method", FIXED)
+@pytest.mark.parametrize("method", [*FIXED, BDF2])
 def test_a_short_pulse_between_samples_is_felt(method):
     """Impulse 5 x 0.05 s; a piecewise linear history with stops at its knots is summed exactly."""
     t = np.array([0.0, 2.0, 4.0])
-    step = 0.5 if method is LinearlyImplicit else 0.02
+    step = 0.5 if method in IMPLICIT else 0.02
     run = simulate(Pulsed(stops=(2.2, 2.25, 2.3)), method(step=step), t)
     assert 2.0 * run.u[1, 3] == pytest.approx(5.0 * 0.05, rel=1e-12)
     assert np.abs(run.x[2]).max() > 1e-6
     assert not run.u[0].any()
-    assert run.statistics["steps"] >= 4 + 6 if method is LinearlyImplicit else True
+    assert run.statistics["steps"] >= 4 + 6 if method in IMPLICIT else True
 
 
 def test_without_stop_points_the_pulse_is_stepped_over():
@@ -236,10 +239,11 @@ def test_divergence_of_explicit_euler_is_an_integration_error():
         simulate(scalar(lambda t, x: [-(x[0] ** 3)], x0=[10.0]), ExplicitEuler(step=0.5), TIMES)
 
 
-def test_a_step_that_moves_too_far_is_halved_then_refused():
-    with pytest.raises(IntegrationError, match="largest_move = "):
-        simulate(Springs(pull=1e7), LinearlyImplicit(step=0.5), TIMES)
-    run = simulate(Springs(stiffness=5.0, pull=20.0, drag=0.5), LinearlyImplicit(step=0.5), TIMES)
+@pytest.mark.parametrize("method", IMPLICIT)
+def test_a_step_that_moves_too_far_is_halved_then_refused(method):
+    with pytest.raises(IntegrationError, match=f"{method.__name__}: a node .* largest_move = "):
+        simulate(Springs(pull=1e7), method(step=0.5), TIMES)
+    run = simulate(Springs(stiffness=5.0, pull=20.0, drag=0.5), method(step=0.5), TIMES)
     assert run.statistics["rejected"] > 0
     right = run.eta @ run.W_eta.T.toarray() + run.u
     rate = np.diff(run.x, axis=0) / np.diff(run.t)[:, None]
@@ -248,13 +252,13 @@ def test_a_step_that_moves_too_far_is_halved_then_refused():
 
 @pytest.mark.parametrize("step", [0.0, -1.0, np.nan, np.inf])
 def test_steps_must_be_positive_times(step):
-    for method in (*FIXED, RungeKutta4):
+    for method in (*FIXED, BDF2, RungeKutta4):
         with pytest.raises(ParameterError, match="step"):
             method(step=step)
 
 
 def test_integrators_have_no_defaults_for_their_tolerances():
-    for make in (LinearlyImplicit, ExplicitEuler, RungeKutta4, CVODES):
+    for make in (LinearlyImplicit, BDF2, ExplicitEuler, RungeKutta4, CVODES):
         with pytest.raises(TypeError, match="missing"):
             make()
     for bad in ({"rtol": 0.0, "atol": 1e-6}, {"rtol": 1e-6, "atol": np.nan}):
@@ -263,6 +267,8 @@ def test_integrators_have_no_defaults_for_their_tolerances():
     for name in ("refresh", "corrections", "tolerance", "largest_move"):
         with pytest.raises(ParameterError, match=name):
             LinearlyImplicit(step=0.5, **{name: 0})
+        with pytest.raises(ParameterError, match=rf"BDF2.{name} must be .*, got 0"):
+            BDF2(step=0.5, **{name: 0})
 
 
 def test_times_and_states_are_checked():
@@ -280,8 +286,9 @@ def test_times_and_states_are_checked():
         simulate(system, method, TIMES, x0=np.zeros(2))
     with pytest.raises(DataError, match="x0"):
         simulate(system, method, TIMES, x0=np.array([np.nan]))
-    with pytest.raises(ParameterError, match="majorant"):
-        simulate(system, LinearlyImplicit(step=0.5), TIMES)
+    for implicit in IMPLICIT:
+        with pytest.raises(ParameterError, match=f"{implicit.__name__} needs .* majorant"):
+            simulate(system, implicit(step=0.5), TIMES)
     with pytest.raises(NotSymbolicError):
         simulate(scalar(lambda t, x: [float(x[0])]), RungeKutta4(step=0.5), TIMES)
 
@@ -325,7 +332,7 @@ class Stopping(RunWriter):
             raise Interrupted
 
 
-@pytest.mark.parametrize("method", FIXED)
+@pytest.mark.parametrize("method", [*FIXED, BDF2])
 @pytest.mark.parametrize("before", [False, True])
 def test_an_interrupted_run_continues_bit_for_bit(tmp_path, method, before):
     from cellsys.integrate.record import record_shapes
