@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import dataclasses
 import time as clock
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -101,6 +102,7 @@ def budget(
     held_out: int = 2,
     seed: Seed = 0,
     setups: Sequence[Setup] | None = None,
+    progress: Callable[[str, float], None] | None = None,
 ) -> Budget:
     """The cheapest setting of an integrator that meets an error.
 
@@ -127,6 +129,8 @@ def budget(
         Of the starts.
     setups : sequence of Setup, optional
         Default every method that suits the target.
+    progress : callable, optional
+        Called with a stage's name and its share done.
 
     Raises
     ------
@@ -178,16 +182,28 @@ def budget(
     measure = kind if measure is None else measure
     if floor:
         return _none(error, measure, floor)
+    say = progress or (lambda stage, share: None)
     try:
         sweeps = tuple(
-            work_precision(ours, p, references, error=measure, repeats=repeats, agree=agree)
-            for p in problems[:training]
+            work_precision(
+                ours,
+                p,
+                references,
+                error=measure,
+                repeats=repeats,
+                agree=agree,
+                progress=partial(say, f"start {i} of {training}"),
+            )
+            for i, p in enumerate(problems[:training], 1)
         )
     except (DataError, IntegrationError) as apart:
         return _none(error, measure, f"it cannot be told whether it is met: {apart}")
-    return _choose(
+    say("held-out starts", 0.0)
+    found = _choose(
         error, measure, margin, ours, sweeps, others, problems[0].t[-1], references, ends
     )
+    say("held-out starts", 1.0)
+    return found
 
 
 def _none(error: float, measure: str, floor: str) -> Budget:

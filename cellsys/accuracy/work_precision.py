@@ -13,7 +13,7 @@ import io
 import os
 import platform
 import time as clock
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -149,6 +149,7 @@ def work_precision(
     error: str = "maximum",
     repeats: int = 3,
     agree: float | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> WorkPrecision:
     """Sweep setups over their settings on one problem.
 
@@ -164,6 +165,8 @@ def work_precision(
         Solves behind a time; the fastest counts. One is enough above `SLOW` seconds.
     agree : float, optional
         Largest disagreement of the two references in the measure; default 1e-6.
+    progress : callable, optional
+        Called with the share of the solves that is done.
 
     Raises
     ------
@@ -179,19 +182,29 @@ def work_precision(
         )
     if repeats < 1:
         raise ParameterError(f"repeats must be >= 1, got {repeats!r}")
+    todo, done = 2 + sum(len(setup.settings) for setup in setups), 0
+
+    def one_more() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done / todo)
+
     best = first.solve(problem, first.settings[-1])
+    one_more()
     other = second.solve(problem, second.settings[-1])
+    one_more()
     apart, bound = measure(error, other, best), 1e-6 if agree is None else agree
     if not apart <= bound:
         raise DataError(
             f"the references {first.name} and {second.name} are {apart:.1e} apart in "
             f"{error!r}, more than {bound:.1e}; tighten their settings"
         )
-    points = [
-        _point(setup, setting, problem, best, error, repeats)
-        for setup in setups
-        for setting in setup.settings
-    ]
+    points = []
+    for setup in setups:
+        for setting in setup.settings:
+            points.append(_point(setup, setting, problem, best, error, repeats))
+            one_more()
     return WorkPrecision(
         problem=problem.name,
         measure=error,

@@ -9,10 +9,10 @@ from __future__ import annotations
 import os
 import sys
 
-from cellsys.cli import cost, couple, effects, models, scenes, sweep
+from cellsys.cli import cost, couple, doctor, effects, models, new, scenes, sweep
 from cellsys.cli.console import app, say_error
 
-__all__ = ["app", "cost", "couple", "effects", "main", "models", "scenes", "sweep"]
+__all__ = ["app", "cost", "couple", "doctor", "effects", "main", "models", "new", "scenes", "sweep"]
 
 
 def main() -> None:

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+import time
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from cellsys.cli.ending import say_ending
-from cellsys.cli.output import say, show
+from cellsys.cli.output import note, say, show
 from cellsys.printable import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from rich.progress import TaskID
+
+
+_NUMBER = 16  # signs, at most, of what is set as a number
+_WIDE = 160
 
 
 class CommandGroup(typer.core.TyperGroup):
@@ -33,7 +39,6 @@ class CommandGroup(typer.core.TyperGroup):
 
 app = typer.Typer(
     cls=CommandGroup,
-    add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="A cell on its matrix as a control system.",
@@ -56,15 +61,26 @@ def say_error(error: Exception, code: int) -> int:
 
 @contextmanager
 def progress_bars(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """A callback (stage, share) that draws rich bars on a terminal and is silent elsewhere."""
-    if quiet or not sys.stderr.isatty():
+    """A callback (stage, share): rich bars with the time left on a terminal, in a log a line a
+    minute.
+    """
+    if quiet:
         yield lambda stage, share: None
         return
+    if not sys.stderr.isatty():
+        yield _a_line_a_minute(time.monotonic)
+        return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     name = TextColumn("{task.description:16s}", markup=False)
-    columns = (name, BarColumn(), TimeElapsedColumn())
+    columns = (name, BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bars:
         tasks: dict[str, TaskID] = {}
 
@@ -76,8 +92,27 @@ def progress_bars(quiet: bool) -> Iterator[Callable[[str, float], None]]:
         yield progress
 
 
+def _a_line_a_minute(clock: Callable[[], float]) -> Callable[[str, float], None]:
+    """A callback (stage, share) that writes where things stand, at most once in 60 s."""
+    last = clock()
+    began: dict[str, float] = {}
+
+    def progress(stage: str, share: float) -> None:
+        nonlocal last
+        now = clock()
+        start = began.setdefault(stage, now)
+        if now - last < 60.0:
+            return
+        last = now
+        left = (now - start) * (1.0 - share) / share if share > 0 else float("inf")
+        rest = f", about {left:.0f} s left" if left < float("inf") else ""
+        note(f"{stage}: {100 * share:.0f} %{rest}")
+
+    return progress
+
+
 def print_table(title: str, head: list[str], rows: list[list[str]]) -> None:
-    """A rich table on standard output."""
+    """A rich table on standard output: numbers to the right, texts to the left, nothing cut."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -87,10 +122,15 @@ def print_table(title: str, head: list[str], rows: list[list[str]]) -> None:
 
     table = Table(title=plain(title), title_justify="left")
     for k, name in enumerate(head):
-        table.add_column(plain(name), justify="left" if k == 0 else "right")
+        number = k > 0 and all(len(row[k]) <= _NUMBER for row in rows)
+        justify: Literal["left", "right"] = "right" if number else "left"
+        table.add_column(plain(name), justify=justify, overflow="fold")
     for row in rows:
         table.add_row(*map(plain, row))
-    Console().print(table)
+    if sys.stdout.isatty() or "COLUMNS" in os.environ:
+        Console().print(table)
+    else:  # a file or a pipe has no width of its own
+        Console(width=_WIDE).print(table)
 
 
 def dump(value: object) -> None:

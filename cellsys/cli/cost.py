@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cellsys.cli.console import Json, SceneFile, app, dump, print_table
+from cellsys.cli.console import Json, Quiet, SceneFile, app, dump, print_table, progress_bars
 from cellsys.cli.output import show
 
 
@@ -20,6 +20,7 @@ def cost(
         Path | None, typer.Option("-o", "--out", help="Folder for CSV, JSON and figure.")
     ] = None,
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Error and time of every full-order method on a scene, and the cheapest that will do."""
     from cellsys.accuracy import budget
@@ -29,7 +30,8 @@ def cost(
 
     plan = load_scene(scene)
     t = probe_times(plan, probe)
-    found = budget(plan, error=error, t=t)
+    with progress_bars(quiet) as progress:
+        found = budget(plan, error=error, t=t, progress=progress)
     if not found.sweeps:
         raise DataError(str(found))
     sweep = found.sweeps[0]

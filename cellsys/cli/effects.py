@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
@@ -47,15 +49,29 @@ def effects(
 
 
 def _list_all(as_json: bool) -> None:
-    from cellsys.scene.listing import effect_list, effect_table
+    from cellsys.scene.listing import effect_list, effect_table, setting_text
 
     rows = effect_table()
     if as_json:
         dump(rows)
         return
-    short = effect_list()
-    _table("effects", short)
-    _table("their parameters", [{k: v for k, v in r.items() if k != "needs"} for r in rows])
+    for effect in effect_list():
+        name = effect["effect"]
+        show(f"{name} ({effect['acts on']})")
+        _paragraph(effect["what it is"])
+        known = ("effect", "acts on", "what it is")
+        rest = [f"{k}: {v}" for k, v in effect.items() if k not in known and v]
+        if rest:
+            _paragraph("; ".join(rest))
+        for row in rows:
+            if row["effect"] == name:
+                setting, meaning = setting_text(row)
+                _paragraph(f"{setting}  {meaning}; {row['source']}", "    ")
+
+
+def _paragraph(text: str, indent: str = "  ") -> None:
+    wide = min(max(shutil.get_terminal_size((80, 24)).columns, 40), 100)
+    show(textwrap.fill(text, wide, initial_indent=indent, subsequent_indent=indent + "    "))
 
 
 def _list_scene(scene: Path, as_json: bool) -> None:
@@ -90,7 +106,5 @@ def _measure(scene: Path, duration: float | None, as_json: bool, quiet: bool) ->
 
 
 def _table(title: str, rows: Sequence[Mapping[str, object]]) -> None:
-    from rich.markup import escape
-
     head = list(rows[0])
-    print_table(title, head, [[escape(str(r[h])) for h in head] for r in rows])
+    print_table(title, head, [[str(r[h]) for h in head] for r in rows])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,16 @@ def effect_table() -> list[dict[str, str]]:
                 }
             )
     return rows
+
+
+def setting_text(row: Mapping[str, str]) -> tuple[str, str]:
+    """A row of `effect_table` as a scene file has it, at its default, and what it means."""
+    if "|" in row["unit"] or row["unit"] in ("true", "false"):
+        options = row["unit"].replace("|", " | ")
+        return f'{row["parameter"]} = "{row["default"]}"', f"{row['meaning']} ({options})"
+    if row["unit"] == "1":
+        return f"{row['parameter']} = {row['default']}", row["meaning"]
+    return f'{row["parameter"]} = "{row["default"]} {row["unit"]}"', row["meaning"]
 
 
 def effect_list() -> list[dict[str, str]]:

@@ -96,7 +96,8 @@ def study_plan(scene: Scene, *, learn: bool | None = None, workers: int = 2) -> 
         As of `study`.
     """
     learns = learns_from(scene, learn)
-    scenes, train = [scene], []
+    scenes = [scene]
+    train: list[Scene] = []
     if learns:
         train, held = training_scenes(scene)
         scenes += [*train, *held, *floor_scenes(held)]
