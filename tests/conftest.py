@@ -11,6 +11,14 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 
+@pytest.fixture(autouse=True)
+def cache(request, monkeypatch):
+    """A cache of runs for every test: none finds what another one, or the user, has made."""
+    own = "tmp_path" in request.fixturenames
+    folder = request.getfixturevalue("tmp_path") / "out" / "runs" if own else os.devnull
+    monkeypatch.setenv("CELLSYS_CACHE", str(folder))
+
+
 @pytest.fixture
 def call(monkeypatch, capsys, tmp_path):
     """Run ``cellsys ...`` in this process, in an empty folder: (exit code, stdout, stderr)."""

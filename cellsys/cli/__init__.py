@@ -9,10 +9,22 @@ from __future__ import annotations
 import os
 import sys
 
-from cellsys.cli import cost, couple, doctor, effects, models, new, scenes, sweep
+from cellsys.cli import cache, cost, couple, doctor, effects, models, new, scenes, sweep
 from cellsys.cli.console import app, say_error
 
-__all__ = ["app", "cost", "couple", "doctor", "effects", "main", "models", "new", "scenes", "sweep"]
+__all__ = [
+    "app",
+    "cache",
+    "cost",
+    "couple",
+    "doctor",
+    "effects",
+    "main",
+    "models",
+    "new",
+    "scenes",
+    "sweep",
+]
 
 
 def main() -> None:

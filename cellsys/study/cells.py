@@ -28,6 +28,7 @@ from cellsys.scene import Scene, build, run_ensemble, run_scene
 from cellsys.scene.build import spreading
 from cellsys.shown import Shown
 from cellsys.store import write_json, write_text
+from cellsys.store.cache import cache_folder
 from cellsys.study.fields import draw_displacement
 from cellsys.study.files import plain, save_run
 from cellsys.study.html import STYLE, image, table
@@ -92,18 +93,20 @@ def study_cells(
     out: str | Path,
     *,
     workers: int = 2,
+    cache: Path | None = None,
     model: LinearModel | None = None,
     progress: Progress | None = None,
 ) -> CellsStudy:
     """Run a scene, read it out, report on it.
 
-    Writes into `out`: ``run.npz``, ``summary.json``, ``figures/*.png``, ``report.html`` and the
-    run cache ``runs/``.
+    Writes into `out`: ``run.npz``, ``summary.json``, ``figures/*.png`` and ``report.html``.
 
     Parameters
     ----------
     workers : int
         Processes for the scene and its one-cell controls.
+    cache : path, optional
+        Folder of the runs; default the user's.
     model : EquivariantModel, optional
         Of one cell; see `reduced_cells`.
     """
@@ -112,7 +115,7 @@ def study_cells(
     began = time.perf_counter()
     say = progress or (lambda stage, share: None)
     folder = Path(out)
-    run, alone = _runs(scene, folder / "runs", workers, say)
+    run, alone = _runs(scene, cache_folder() if cache is None else cache, workers, say)
     system = spreading(build(scene))
     rest = None if system.matrix is None else system.matrix.position
     pairs = observe_neighbours(run, alone, rest) if alone and rest is not None else {}

@@ -85,6 +85,16 @@ def learns_from(scene: Scene, learn: bool | None) -> bool:
     return steered(scene) and (scene.learn if learn is None else learn)
 
 
+def study_scenes(scene: Scene, learns: bool) -> tuple[list[Scene], list[Scene], list[Scene]]:
+    """The scene with what is run beside it, and of these the training and the held-out ones."""
+    if learns:
+        train, held = training_scenes(scene)
+        return [scene, *train, *held, *floor_scenes(held)], train, held
+    if len(scene.cells) > 1 and scene.matrix is not None and not crawls(scene):
+        return [scene, *alone_scenes(scene)], [], []
+    return [scene], [], []
+
+
 @checked
 def study_plan(scene: Scene, *, learn: bool | None = None, workers: int = 2) -> StudyPlan:
     """How many runs `study` will make of a scene, and about how long it takes.
@@ -96,13 +106,7 @@ def study_plan(scene: Scene, *, learn: bool | None = None, workers: int = 2) -> 
         As of `study`.
     """
     learns = learns_from(scene, learn)
-    scenes = [scene]
-    train: list[Scene] = []
-    if learns:
-        train, held = training_scenes(scene)
-        scenes += [*train, *held, *floor_scenes(held)]
-    elif len(scene.cells) > 1 and scene.matrix is not None and not crawls(scene):
-        scenes += alone_scenes(scene)
+    scenes, train, _ = study_scenes(scene, learns)
     step = _STEP * (len(build(scene).x0) / _UNKNOWNS) ** _POWER
     each = sorted((step * s.duration / s.step for s in scenes), reverse=True)
     seconds = max(each[0], sum(each) / min(workers, len(each)))

@@ -26,13 +26,15 @@ from cellsys.response import Margins, margins, stability
 from cellsys.samples import Snapshots, snapshots
 from cellsys.scene import Scene, build, load_scene, run_ensemble, training_scenes
 from cellsys.scene.build import spreading
-from cellsys.store import discard_partial, write_json
+from cellsys.scene.ensemble import run_name
+from cellsys.store import discard_partial, fingerprint, write_json
+from cellsys.store.cache import MODELS, cache_folder, prune, touch
 from cellsys.study.coordinates import learn_coordinates
 from cellsys.study.equivariant import study_equivariant, sweep_row
 from cellsys.study.files import plain, save_run
-from cellsys.study.floors import floor_scenes, measured_floors
+from cellsys.study.floors import measured_floors
 from cellsys.study.measure import margin_table, sweep_orders
-from cellsys.study.plan import StudyPlan, crawls, learns_from, study_plan
+from cellsys.study.plan import StudyPlan, crawls, learns_from, study_plan, study_scenes
 from cellsys.study.result import StudyResult
 from cellsys.study.summary import (
     HeadingError,
@@ -66,13 +68,15 @@ def study(
     resume: bool = True,
     model: LinearModel | str | Path | None = None,
     learn: bool | None = None,
+    cache: str | Path | None = None,
     announce: Callable[[StudyPlan], None] | None = None,
     progress: Progress | None = None,
 ) -> StudyResult | CrawlerStudy | CellsStudy:
     """From a scene to poles, margins, a closed-loop run and a report.
 
     Writes into `out`: ``run.npz``, ``model.npz`` (PCR), ``model_equivariant.npz`` (when there is
-    one), ``summary.json``, ``figures/*.png``, ``report.html`` and the run cache ``runs/``.
+    one), ``summary.json``, ``figures/*.png`` and ``report.html``. Runs are kept in the cache, whose
+    longest unused entries go when it grows beyond 4 GB (`cellsys.store.cache`).
 
     Parameters
     ----------
@@ -81,7 +85,7 @@ def study(
         with several cells, without a cell, a matrix or a lamellipodium (`study_cells`) are run
         and read out; no model is learned from them.
     out : path
-        Output folder; made when missing. Runs already there are reused.
+        Output folder; made when missing.
     order : int
         Order of the plant of the loop.
     workers : int
@@ -94,6 +98,8 @@ def study(
     learn : bool, optional
         Learn models from `training_scenes`; default: where the scene file has a [training] table
         (`Scene.learn`). Without, a steered cell is run and read out like any other scene.
+    cache : path, optional
+        Folder of the runs, which are not made again; default the user's (`cache_folder`).
     announce : callable, optional
         Called once with what will be run, before it is; not for a scene on a chain.
     progress : callable, optional
@@ -120,20 +126,28 @@ def study(
     _check(scene, order if learns else None, folder)
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise ParameterError(f"workers must be a whole number >= 1, got {workers!r}")
-    cache = folder / "runs"
-    if not resume and cache.exists():
-        for partial in cache.glob("*.partial"):
+    kept = cache_folder() if cache is None else Path(cache)
+    scenes, train, held = ([scene], [], []) if crawling else study_scenes(scene, learns)
+    own = [kept / run_name(s) for s in scenes]
+    for place in own if not resume else ():
+        if (partial := place.with_name(f"{place.name}.partial")).exists():
             discard_partial(partial)
     if announce is not None:
         announce(study_plan(scene, learn=learns, workers=workers))
     if not learns:
-        return study_cells(scene, folder, workers=workers, model=model, progress=progress)
+        found = study_cells(
+            scene, folder, workers=workers, cache=kept, model=model, progress=progress
+        )
+        touch(own)
+        prune(kept, keep=own)
+        return found
     say = progress or (lambda stage, share: None)
 
-    train, held = training_scenes(scene)
+    plan = fingerprint(scene.fingerprint(), scene.canonical()["training"])
+    shelf = kept / MODELS / plan[:20]
     runs = run_ensemble(
-        [scene, *train, *held, *floor_scenes(held)],
-        cache,
+        scenes,
+        kept,
         workers=workers,
         progress=lambda done, total: say("full-order runs", done / total),
     )
@@ -145,7 +159,7 @@ def study(
     if order not in orders:
         orders = sorted({*orders, order})
     say("basis", 0.0)
-    learned = learn_coordinates(data, test, max(orders), cache / "coordinates.npz")
+    learned = learn_coordinates(data, test, max(orders), shelf / "coordinates.npz")
     say("basis", 1.0)
     full_s = float(np.mean([r.statistics["wall_time"] for r in tested]))
     sweep, models = sweep_orders(
@@ -164,7 +178,7 @@ def study(
     say("loop", 1.0)
 
     say("equivariant", 0.0)
-    charges = study_equivariant(scene, data, test, main, cache / "equivariant.npz")
+    charges = study_equivariant(scene, data, test, main, shelf / "equivariant.npz")
     if charges.model is not None:
         steps = round(sweep.horizon_s / charges.model.dt)
         row = sweep_row(charges.model, steps)
@@ -205,6 +219,8 @@ def study(
         equivariant=charges.told,
         trust=trust,
     )
+    touch([*own, shelf])
+    prune(kept, keep=[*own, shelf])
     result = StudyResult(
         scene=scene,
         run=main,

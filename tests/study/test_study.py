@@ -46,6 +46,7 @@ def done(tmp_path_factory):
         out,
         order=4,
         workers=1,
+        cache=out / "runs",
         progress=lambda stage, share: stages.append((stage, share)),
     )
     return result, out, stages
@@ -151,14 +152,14 @@ def test_progress_names_its_stages(done):
 @pytest.mark.slow
 def test_second_call_reuses_the_runs_and_gives_the_same_numbers(done):
     result, out, _ = done
-    runs = {p: p.stat().st_mtime_ns for p in (out / "runs").rglob("*")}
-    again = cs.study(scene(), out, order=4, workers=1)
-    assert {p: p.stat().st_mtime_ns for p in (out / "runs").rglob("*")} == runs
+    runs = {p: p.stat().st_mtime_ns for p in (out / "runs").rglob("*.*")}
+    again = cs.study(scene(), out, order=4, workers=1, cache=out / "runs")
+    assert {p: p.stat().st_mtime_ns for p in (out / "runs").rglob("*.*")} == runs
     assert np.array_equal(again.model.A, result.model.A)
     assert np.array_equal(again.poles.error_bound, result.poles.error_bound)
     assert again.margins.gain_margin == result.margins.gain_margin
     # another order uses the same runs
-    other = cs.study(scene(), out, order=3, workers=1)
+    other = cs.study(scene(), out, order=3, workers=1, cache=out / "runs")
     assert other.model.order == 3
     kept = {p: p.stat().st_mtime_ns for p in (out / "runs").rglob("*.npy")}
     assert kept == {p: t for p, t in runs.items() if p.suffix == ".npy"}
@@ -167,9 +168,9 @@ def test_second_call_reuses_the_runs_and_gives_the_same_numbers(done):
 @pytest.mark.slow
 def test_a_damaged_coordinate_file_is_made_again(done):
     result, out, _ = done
-    path = out / "runs" / "coordinates.npz"
+    (path,) = (out / "runs").rglob("coordinates.npz")
     path.write_bytes(path.read_bytes()[:1000])
-    again = cs.study(scene(), out, order=4, workers=1)
+    again = cs.study(scene(), out, order=4, workers=1, cache=out / "runs")
     assert np.array_equal(again.model.A, result.model.A)
     load_archive(path, "coordinates", 1)
 
