@@ -60,6 +60,11 @@ class OverdampedSystem(OdeSystem, ABC):
         """W_x x + W_eta eta + u (n,), in a new array."""
         return self.W_eta @ eta + u + (self.W_x @ x if self.W_x.nnz else 0.0)
 
+    def laws(self, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """eta, u and the rate that they give, W_x x + W_eta eta + u."""
+        eta, u = self.eta(t, x), self.u(t, x)
+        return eta, u, self.rate(x, eta, u)
+
     def forget(self) -> None:
         """Drop what is kept between looks at the tangent: a run must not see an earlier one."""
 

@@ -106,6 +106,7 @@ class _ChebyshevStepper(SampledRun):
         self.method, self.h = method, 0.0
         self.vector = rng.spawn(1)[0].standard_normal(x0.size)
         self.radius, self.age, self.left = 0.0, _RENEW, method.max_steps
+        self.drawn = t0  # up to when the discrete changes have been made
         self.rate: np.ndarray | None = None
         # eta and u at the start of the step under way, and at the last look.
         nothing = np.zeros(system.auxiliaries.size), np.zeros(x0.size)
@@ -125,6 +126,10 @@ class _ChebyshevStepper(SampledRun):
     def _f(self, t: float, x: np.ndarray) -> np.ndarray:
         self.statistics["rhs"] += 1
         system = self.system
+        if isinstance(system, OverdampedSystem):
+            eta, u, rate = system.laws(t, x)
+            self.held = eta, u
+            return rate
         eta, u = system.eta(t, x), system.u(t, x)
         self.held = eta, u
         return system.W_x @ x + system.W_eta @ eta + u
@@ -165,12 +170,14 @@ class _ChebyshevStepper(SampledRun):
         """One accepted step towards `stop`: averages of eta and u over it, and its length."""
         method, system, t = self.method, self.system, self.t
         if isinstance(system, OverdampedSystem) and system.discrete:
-            self.x, happened = system.between_steps(
-                t, self.x, min(method.largest_step, stop - t), self.rng
-            )
-            if happened:
+            if t >= self.drawn:
+                self.drawn = min(t + method.largest_step, stop)
+                self.x, happened = system.between_steps(t, self.x, self.drawn - t, self.rng)
+                # Laws jump even without an event: a thermal force is a new one.
                 self.events.extend(happened)
-                self.rate, self.age = None, _RENEW
+                self.rate, self.age = None, _RENEW if happened else self.age
+            # What is drawn holds up to then, in as many steps as the tolerance asks for.
+            stop = min(stop, self.drawn)
         x = self.x
         f = self._f(t, x) if self.rate is None else self.rate
         if self.rate is None:

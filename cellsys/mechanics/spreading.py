@@ -265,15 +265,21 @@ class SpreadingSystem(OverdampedSystem):
         return eta
 
     def eta(self, t: float, x: np.ndarray) -> np.ndarray:
+        return self.laws(t, x)[0]
+
+    def laws(self, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         s = self.configuration(t, x)
-        eta = self._efforts(s)
-        v = self.rate(x, eta, self._u(s))
-        velocity = {a: self.states.view(v, b) for a, b in self._arrays.items()}
+        eta, u = self._efforts(s), self._u(s)
+        rate = self.rate(x, eta, u)
+        velocity = {a: self.states.view(rate, b) for a, b in self._arrays.items()}
         for element in self.elements:
             if element.internal:
                 out = tuple(self.auxiliaries.view(eta, f"{b.name}.rate") for b in element.internal)
                 element.rates(s, velocity, out)
-        return eta
+        for states, rates in self._blocks:
+            # The rate of an internal state is its own effort, by W_eta = 1.
+            rate[states] = eta[rates]
+        return eta, u, rate
 
     def u(self, t: float, x: np.ndarray) -> np.ndarray:
         return self._u(self.configuration(t, x))

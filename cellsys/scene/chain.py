@@ -125,6 +125,11 @@ class ChainScene(Chain):
                 f"until = {scene.until!r} is for cells with a membrane; crawlers on a chain stall "
                 "where they meet: leave it out"
             )
+        if scene.stepper is not None:
+            raise SceneError(
+                f"stepper = {scene.stepper!r} is for cells with a membrane; crawlers are run by "
+                "LSODA, which finds their switches: leave it out"
+            )
         if scene.effects:
             raise SceneError(
                 "; ".join(

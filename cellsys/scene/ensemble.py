@@ -24,6 +24,7 @@ from cellsys.scene.executors import executor_of, gather
 from cellsys.scene.load import scene_from_plain
 from cellsys.scene.memory import check_mapping, check_scene_memory, memory_need
 from cellsys.scene.scene import Scene
+from cellsys.scene.steppers import BySystem
 from cellsys.scene.workers import Workers, end_with_parent
 from cellsys.store.processor import processor_kind
 from cellsys.store.runs import RunReader, RunWriter
@@ -90,10 +91,13 @@ def _simulated(
         if progress is not None:
             progress(share)
 
+    method = scene.matrix_kind.method(scene)
+    if isinstance(method, BySystem):
+        method = method.of(system)
     with one_thread():
         return simulate(
             system,
-            scene.matrix_kind.method(scene),
+            method,
             scene.times,
             seed=scene.seed,
             sink=sink,

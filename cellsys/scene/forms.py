@@ -28,6 +28,7 @@ from cellsys.scene.disc import MatrixScene
 from cellsys.scene.parts import CellScene, Gradient, Inclusion, Training
 from cellsys.scene.plan import Kind
 from cellsys.scene.registry import Registry
+from cellsys.scene.steppers import step_told
 from cellsys.scene.tables import (
     CommandsTable,
     DiscSceneTable,
@@ -130,7 +131,15 @@ def _plane_fields(
         name=parsed.name,
         duration=parsed.duration,
         sample=parsed.sample,
-        step=parsed.step,
+        step=step_told(
+            {
+                "step": parsed.step if "step" in parsed.model_fields_set else None,
+                "run.step": parsed.run.step,
+            },
+            parsed.run.stepper,
+        ),
+        stepper=parsed.run.stepper,
+        tolerance=parsed.run.tolerance,
         seed=parsed.seed,
         until=parsed.until,
         matrix=matrix(parsed.matrix),

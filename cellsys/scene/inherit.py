@@ -135,7 +135,23 @@ def _merged(table: Mapping[str, object], folder: Path, seen: tuple[Path, ...]) -
         chain = " -> ".join(path.name for path in (*seen[seen.index(source) :], source))
         raise SceneError(f"extends = {base!r} leads back to itself: {chain}")
     older = _merged(read_table(source), source.parent, (*seen, source))
-    return _joined(older, own)
+    return _joined(_own_steps(older, own), own)
+
+
+def _own_steps(older: Mapping[str, object], newer: Mapping[str, object]) -> dict[str, object]:
+    """The older scene without the settings of its stepper that the newer one says anew.
+
+    A stepper's settings go with it, and ``step`` and ``run.step`` are one number.
+    """
+    run, before = newer.get("run"), older.get("run")
+    run, before = (r if isinstance(r, Mapping) else {} for r in (run, before))
+    gone = {"step", "tolerance"} if "stepper" in run else set()
+    if "step" in newer or "step" in run:
+        gone |= {"step"}
+    out = {key: value for key, value in older.items() if key not in gone & {"step"}}
+    if before:
+        out["run"] = {key: value for key, value in before.items() if key not in gone}
+    return out
 
 
 def _joined(older: Mapping[str, object], newer: Mapping[str, object]) -> dict[str, object]:

@@ -116,5 +116,7 @@ def scene_from_plain(
         training=Training(**table["training"]),
         seed=table["seed"],
         step=table["step"],
+        stepper=table.get("stepper"),
+        tolerance=table.get("tolerance"),
         until=table.get("until"),
     )

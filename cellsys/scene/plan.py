@@ -63,6 +63,14 @@ class ScenePlan(Protocol):
         """Of a stepping integrator, s."""
 
     @property
+    def stepper(self) -> str | None:
+        """What steps it, one of `cellsys.scene.steppers.STEPPERS`; None where it names none."""
+
+    @property
+    def tolerance(self) -> float | None:
+        """Of that stepper; None where the scene names none."""
+
+    @property
     def until(self) -> str | None:
         """What ends the run before its time: "contact"."""
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from cellsys.drawable import draw_by
 from cellsys.errors import SceneError
-from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.mechanics.crawler import Crawler
 from cellsys.mechanics.effects.matrix import Drag
 from cellsys.mechanics.effects.protocol import CellBody, Effect, check_parameters
@@ -22,6 +21,7 @@ from cellsys.scene.memory import MemoryNeed, plane_memory, plane_words
 from cellsys.scene.parts import CellScene
 from cellsys.scene.plan import ScenePlan
 from cellsys.scene.registry import EFFECTS
+from cellsys.scene.steppers import BySystem, SceneStepper, stepper_of
 from cellsys.trajectory import Trajectory
 
 START_GAP = 0.05  # um between the lowest point of a cell and the top of the matrix
@@ -170,9 +170,9 @@ class Plane:
                 "commands steer the lamellipodium, and effects.lamellipodium is missing"
             )
 
-    def method(self, scene: ScenePlan) -> LinearlyImplicit:
-        """The scene's own step."""
-        return LinearlyImplicit(step=scene.step)
+    def method(self, scene: ScenePlan) -> SceneStepper | BySystem:
+        """The stepper that the scene names, by default LinearlyImplicit."""
+        return stepper_of(scene)
 
     def memory(self, scene: ScenePlan, *, on_disk: bool = True, run: bool = True) -> MemoryNeed:
         """By the number of nodes, cells and laws; see `plane_memory`."""

@@ -24,6 +24,7 @@ from cellsys.scene.plan import Kind
 from cellsys.scene.plane import NO_MATRIX
 from cellsys.scene.registry import source_of
 from cellsys.scene.sampling import intervals
+from cellsys.scene.steppers import AUTO, check_stepping
 from cellsys.store.hashing import fingerprint
 
 E = TypeVar("E", bound=Effect)
@@ -41,15 +42,18 @@ class Scene:
 
     Built by `load_scene` or `Scene.parse`; change it with `dataclasses.replace`. Times in s,
     lengths in um, angles in rad. `cells` may be empty (a passive matrix) and `matrix` None (a
-    free membrane), not both. `learn` says whether `cs.study` learns models from its `training`; a
-    scene file without [training] does not ask for any. `until` "contact" ends the run where two
-    cells touch, before `duration` if that comes first.
+    free membrane), not both. `stepper` is "auto", "BDF2", "RKC" or "LinearlyImplicit" (which None
+    stands for), `step` and `tolerance` its setting: ``[run]`` in a file. `learn` says whether
+    `cs.study` learns models from its `training`; a scene file without [training] does not ask for
+    any. `until` "contact" ends the run where two cells touch, before `duration` if that comes
+    first.
 
     Raises
     ------
     SceneError
         Naming the contradiction: an effect without what it needs, cells that overlap or lie
-        outside the disc, a duration of zero, a sample that does not divide the duration.
+        outside the disc, a duration of zero, a sample that does not divide the duration, a
+        setting that the stepper does not take.
     """
 
     name: str
@@ -63,6 +67,8 @@ class Scene:
     learn: bool = field(default=True, compare=False)
     seed: Seed = 0
     step: float = 0.5
+    stepper: str | None = None
+    tolerance: float | None = None
     until: str | None = None
 
     def __repr__(self) -> str:
@@ -94,8 +100,7 @@ class Scene:
         return parse_scene(table, effects=effects, matrices=matrices)
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.step) and self.step > 0):
-            raise SceneError(f"step must be > 0 s, got {self.step!r}")
+        check_stepping(self.stepper, self.step, self.tolerance)
         count = intervals(self.duration, self.sample)
         if count > _MOST_SAMPLES:
             raise SceneError(
@@ -153,8 +158,9 @@ class Scene:
             f.name: _plain(getattr(self, f.name)) for f in dataclasses.fields(self)
         }
         table.pop("learn")
-        if self.until is None:
-            table.pop("until")
+        for key in ("stepper", "tolerance", "until"):
+            if table[key] is None:  # as scenes were written that knew no such choice
+                table.pop(key)
         if self.matrix is not None:
             origin = source_of(type(self.matrix))
             own = {"kind": self.matrix.kind, "origin": origin} if origin else {}
@@ -170,6 +176,8 @@ class Scene:
         table = self.canonical()
         for key in ("name", "training"):
             table.pop(key)
+        if self.stepper == "auto":  # what it chooses may be another one tomorrow
+            table["method"] = repr(AUTO)
         from cellsys.store.processor import processor_kind
 
         return fingerprint(table, _version(), processor_kind())

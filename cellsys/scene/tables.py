@@ -23,6 +23,7 @@ from pydantic_core import ErrorDetails
 from cellsys.kinds import shown
 from cellsys.mechanics.commands import History
 from cellsys.mechanics.effects.protocol import Effect
+from cellsys.scene.steppers import STEPPERS
 from cellsys.units import quantity
 
 
@@ -183,6 +184,24 @@ class _TrainingTable(TomlTable):
     scatter: _Length = 0.0
 
 
+class _RunTable(TomlTable):
+    """What steps the scene through time."""
+
+    stepper: Annotated[
+        str | None,
+        Field(
+            description="auto: what suits the scene; BDF2: second order; RKC: explicit, by a "
+            "tolerance; LinearlyImplicit: first order (the default)",
+            json_schema_extra={"enum": list(STEPPERS)},
+        ),
+    ] = None
+    step: Annotated[Time | None, Field(description="longest step, number with unit")] = None
+    tolerance: Annotated[
+        _Number | None,
+        Field(description="local error of RKC; share of a rate that the others leave over"),
+    ] = None
+
+
 class DiscSceneTable(TomlTable):
     """A scene with a disc, or without a matrix."""
 
@@ -191,6 +210,7 @@ class DiscSceneTable(TomlTable):
     duration: Time
     sample: Sample = 5.0
     step: Time = 0.5
+    run: _RunTable = _RunTable()
     until: Annotated[
         Literal["contact"] | None, Field(description="ends the run where two cells touch")
     ] = None
