@@ -78,7 +78,7 @@ class Setup:
 
 
 IntegratorClass = Annotated[type, "a class of integrators, such as cs.RungeKutta4"]
-_OWN = ("Exponential", "LinearlyImplicit", "RKC")
+_OWN = ("BDF2", "Exponential", "LinearlyImplicit", "RKC")
 
 
 @checked

@@ -11,6 +11,7 @@ from cellsys.arguments import checked
 from cellsys.contracts import Integrator
 from cellsys.errors import ParameterError
 from cellsys.integrate import (
+    BDF2,
     DOP853,
     LSODA,
     RKC,
@@ -92,11 +93,42 @@ def full_order_setups(problem: CostProblem) -> list[Setup]:
     if problem.system.events():
         tight = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
         return [by_tolerance(m, tight) for m in (LSODA, DOP853, Radau)]
-    out = [by_step(LinearlyImplicit, STEPS)]
-    if not problem.system.discrete:
-        tolerances = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
-        out.append(by_tolerance(RKC, tolerances, {"max_steps": MOST}))
-    return out
+    if problem.system.discrete:
+        return [by_step(LinearlyImplicit, STEPS)]
+    return [_setup_of(name) for name in ("LinearlyImplicit", "BDF2", "RKC")]
+
+
+def _setup_of(stepper: str) -> Setup:
+    """The settings of a stepper that a scene may name, loosest first."""
+    if stepper == "RKC":
+        return by_tolerance(RKC, (1e-2, 1e-3, 1e-4, 1e-5, 1e-6), {"max_steps": MOST})
+    return by_step(BDF2 if stepper == "BDF2" else LinearlyImplicit, STEPS)
+
+
+@checked
+def scene_setups(scene: Scene) -> list[Setup] | None:
+    """Settings of the stepper that a scene names; None for "auto", which takes any."""
+    return None if scene.stepper == "auto" else [_setup_of(scene.stepper or "LinearlyImplicit")]
+
+
+@checked
+def stepped_by(scene: Scene, integrator: Integrator) -> Scene:
+    """The scene with the stepper and the setting of an integrator that it may name.
+
+    Raises
+    ------
+    ParameterError
+        For any other integrator.
+    """
+    if isinstance(integrator, RKC):
+        return dataclasses.replace(scene, stepper="RKC", tolerance=integrator.rtol)
+    if not isinstance(integrator, (LinearlyImplicit, BDF2)):
+        raise ParameterError(
+            f"a scene is stepped by LinearlyImplicit, BDF2 or RKC, not by {integrator!r}"
+        )
+    same = scene.stepper is None and isinstance(integrator, LinearlyImplicit)
+    name = None if same else type(integrator).__name__
+    return dataclasses.replace(scene, stepper=name, step=integrator.step, tolerance=None)
 
 
 @checked

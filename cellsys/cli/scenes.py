@@ -70,23 +70,19 @@ def run(
 
 
 def _within(scene: Path, error: float) -> Scene:
-    """The scene with the longest step of its own stepper that keeps the error on other starts."""
-    import dataclasses
-
-    from cellsys.accuracy import budget, by_step
-    from cellsys.accuracy.starts import STEPS
+    """The scene with the cheapest setting of its stepper that keeps the error on other starts."""
+    from cellsys.accuracy import budget
+    from cellsys.accuracy.starts import scene_setups, stepped_by
     from cellsys.errors import ParameterError
-    from cellsys.integrate import LinearlyImplicit
     from cellsys.scene import load_scene
 
     plan = load_scene(scene)
     plan.matrix_kind.refuse(plan, "step")
-    found = budget(plan, error=error, setups=[by_step(LinearlyImplicit, STEPS)])
-    best = found.integrator
-    if not isinstance(best, LinearlyImplicit):
+    found = budget(plan, error=error, setups=scene_setups(plan))
+    if found.integrator is None or isinstance(found.integrator, str):
         raise ParameterError(str(found))
     note(found)
-    return dataclasses.replace(plan, step=best.step)
+    return stepped_by(plan, found.integrator)
 
 
 @app.command()

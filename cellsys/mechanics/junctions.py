@@ -15,7 +15,14 @@ import numpy as np
 from cellsys.bondgraph import BondElement, BondGraph, Internal, NodalEffort, One, R
 from cellsys.mechanics.compiled import compiled
 from cellsys.mechanics.effects.protocol import JunctionArray, Port
-from cellsys.system import Block
+from cellsys.system import Block, Layout
+
+Place = tuple[slice, tuple[int, ...]]  # where a block lies, and its shape
+
+
+def place_of(layout: Layout, name: str) -> Place:
+    """Where a block lies, and its shape."""
+    return layout.slice(name), layout[name].shape
 
 
 def junction_graph(

@@ -29,13 +29,12 @@ from cellsys.mechanics.effects.protocol import (
     Stiffness,
 )
 from cellsys.mechanics.geometry.disc import Disc
-from cellsys.mechanics.junctions import junction_graph, product
+from cellsys.mechanics.junctions import Place, junction_graph, place_of, product
 from cellsys.mechanics.tangent import combine
 from cellsys.overdamped import MajorantBlock, OverdampedSystem, RankOne
 from cellsys.system import Block, Event, Layout
 
-_Place = tuple[slice, tuple[int, ...]]  # where a block lies, and its shape
-_Driven = tuple[Element, tuple[tuple[slice, tuple[int, ...], np.ndarray], ...], tuple[_Place, ...]]
+_Driven = tuple[Element, tuple[tuple[slice, tuple[int, ...], np.ndarray], ...], tuple[Place, ...]]
 
 
 @dataclass(frozen=True)
@@ -147,7 +146,7 @@ class SpreadingSystem(OverdampedSystem):
     _senses: bool
     _nodes: tuple[tuple[str, slice, tuple[int, ...]], ...]
     _inside: tuple[tuple[str, slice, tuple[int, ...]], ...]
-    _forces: tuple[tuple[Element, tuple[_Place, ...]], ...]
+    _forces: tuple[tuple[Element, tuple[Place, ...]], ...]
     _driven: tuple[_Driven, ...]
     _undriven: np.ndarray
     _advancing: tuple[Element, ...]
@@ -187,11 +186,11 @@ class SpreadingSystem(OverdampedSystem):
         still.setflags(write=False)
 
         def driven(element: Element) -> _Driven:
-            pushed = [_place_of(states, arrays[port.array]) for port in element.inputs]
+            pushed = [place_of(states, arrays[port.array]) for port in element.inputs]
             return (
                 element,
                 tuple((piece, shape, mobility[piece]) for piece, shape in pushed),
-                tuple(_place_of(states, arrays[h.array]) for h in element.holds),
+                tuple(place_of(states, arrays[h.array]) for h in element.holds),
             )
 
         for name, value in (
@@ -204,12 +203,12 @@ class SpreadingSystem(OverdampedSystem):
             ("_last", ()),
             ("_senses", any(getattr(e, "sensing", None) is not None for e in elements)),
             # What a step goes through, found once: what is absent is not asked.
-            ("_nodes", tuple((a, *_place_of(states, b)) for a, b in arrays.items())),
-            ("_inside", tuple((b.name, *_place_of(states, b.name)) for b in inside)),
+            ("_nodes", tuple((a, *place_of(states, b)) for a, b in arrays.items())),
+            ("_inside", tuple((b.name, *place_of(states, b.name)) for b in inside)),
             (
                 "_forces",
                 tuple(
-                    (e, tuple(_place_of(auxiliaries, p.block) for p in e.ports))
+                    (e, tuple(place_of(auxiliaries, p.block) for p in e.ports))
                     for e in elements
                     if e.ports
                 ),
@@ -246,12 +245,8 @@ class SpreadingSystem(OverdampedSystem):
 
     def energy(self, t: float, x: np.ndarray) -> dict[str, float]:
         """Stored energy of every element that has one, pN um."""
-        s = self.configuration(t, x)
-        out = {}
-        for element in self.elements:
-            if type(element).energy is not Element.energy:
-                out[element.name] = float(element.energy(s))
-        return out
+        s, stored = self.configuration(t, x), _having("energy", self.elements)
+        return {element.name: float(element.energy(s)) for element in stored}
 
     # OdeSystem
 
@@ -277,8 +272,7 @@ class SpreadingSystem(OverdampedSystem):
                 out = tuple(self.auxiliaries.view(eta, f"{b.name}.rate") for b in element.internal)
                 element.rates(s, velocity, out)
         for states, rates in self._blocks:
-            # The rate of an internal state is its own effort, by W_eta = 1.
-            rate[states] = eta[rates]
+            rate[states] = eta[rates]  # by W_eta = 1
         return eta, u, rate
 
     def u(self, t: float, x: np.ndarray) -> np.ndarray:
@@ -393,11 +387,6 @@ class SpreadingSystem(OverdampedSystem):
         for element in switching:
             events.extend(element.between_steps(s, dt, rng))
         return x, tuple(events)
-
-
-def _place_of(layout: Layout, name: str) -> _Place:
-    """Where a block lies, and its shape."""
-    return layout.slice(name), layout[name].shape
 
 
 def _having(method: str, elements: tuple[Element, ...]) -> tuple[Element, ...]:

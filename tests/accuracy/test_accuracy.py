@@ -286,3 +286,23 @@ def test_budgets_of_a_scene_hold_on_other_headings_places_and_seeds():
         exact = truth.solve(fresh, truth.settings[-1])
         run = cs.simulate(fresh.system, found.integrator, long, auxiliaries=False).x
         assert measure("motion", run, exact) <= error
+
+
+def test_a_scene_takes_the_setting_of_its_own_stepper():
+    """What ``cellsys run --error`` looks among, and what the scene then is."""
+    from cellsys.accuracy.starts import scene_setups, stepped_by
+
+    plain = cs.load_scene("spreading")
+    for name, integrator, changed in (
+        (None, cs.LinearlyImplicit(step=0.1), {"step": 0.1}),
+        ("BDF2", cs.BDF2(step=2.0), {"step": 2.0}),
+        ("RKC", cs.RKC(rtol=1e-3, atol=1e-3), {"tolerance": 1e-3}),
+    ):
+        scene = dataclasses.replace(plain, stepper=name)
+        assert [s.name for s in scene_setups(scene)] == [name or "LinearlyImplicit"]
+        assert stepped_by(scene, integrator) == dataclasses.replace(scene, **changed)
+    auto = dataclasses.replace(plain, stepper="auto")
+    assert scene_setups(auto) is None
+    assert stepped_by(auto, cs.BDF2(step=1.0)).stepper == "BDF2"
+    with pytest.raises(ParameterError, match=r"stepped by .*, not by DOP853"):
+        stepped_by(auto, cs.DOP853(rtol=1e-6, atol=1e-6))

@@ -17,6 +17,7 @@ from cellsys.errors import (
 from cellsys.integrate import (
     BDF2,
     CVODES,
+    RKC,
     ExplicitEuler,
     LinearlyImplicit,
     RungeKutta4,
@@ -366,3 +367,30 @@ def test_a_run_with_a_sink_is_the_run_without(tmp_path):
     two = simulate(Springs(), LinearlyImplicit(step=0.1), t)
     assert np.array_equal(one.x, two.x)
     assert np.array_equal(one.eta, two.eta)
+
+
+# Discrete changes
+
+
+class Drawing(Springs):
+    """Remembers over which intervals its discrete changes were drawn; a hard start is shortened."""
+
+    discrete = True
+
+    def between_steps(self, t, x, dt, rng):
+        self.drawn.append((t, t + dt))
+        return x, ()
+
+
+@pytest.mark.parametrize("method", [*IMPLICIT, RKC])
+def test_every_interval_is_drawn_once_however_short_the_steps(method):
+    """A probability of an interval that is cut by the error control was used again and again."""
+    system = Drawing(stiffness=500.0)
+    object.__setattr__(system, "drawn", [])
+    told = {"rtol": 1e-5, "atol": 1e-7, "largest_step": 0.5} if method is RKC else {"step": 0.5}
+    run = simulate(system, method(**told), np.array([0.0, 1.3, 3.0]))
+    ends = [b for _, b in system.drawn]
+    assert [a for a, _ in system.drawn] == pytest.approx([0.0, *ends[:-1]], abs=1e-12)
+    assert ends[-1] == pytest.approx(3.0, abs=1e-12)
+    if method is RKC:
+        assert run.statistics["steps"] > 2 * len(ends)
