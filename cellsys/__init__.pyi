@@ -205,6 +205,7 @@ from .scene import (
     training_scenes,
     turning_scenes,
 )
+from .store.cache import cache_folder
 from .study import study
 from .overdamped import OverdampedSystem
 from .system import (

@@ -2,7 +2,6 @@
 
 import argparse
 import dataclasses
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +16,11 @@ def main(quick: bool = False, out: str | None = None) -> cs.ScheduledLoop:
     if quick:
         plan = dataclasses.replace(scene.training, runs=4, held_out=1, duration=120.0)
         scene = dataclasses.replace(scene, training=plan)
-    with tempfile.TemporaryDirectory() as scratch:
-        train, held_out = cs.training_scenes(scene)
-        runs = cs.run_ensemble(train + held_out, out or scratch)
-        data, test = cs.snapshots(runs[: len(train)]), cs.snapshots(runs[len(train) :])
-        order, method = (12, cs.Equivariant(folds=0)) if quick else (50, cs.Equivariant())
-        model = cs.reduce(data, order=order, method=method, test=test)
+    train, held_out = cs.training_scenes(scene)
+    runs = cs.run_ensemble(train + held_out, out or cs.cache_folder())
+    data, test = cs.snapshots(runs[: len(train)]), cs.snapshots(runs[len(train) :])
+    order, method = (12, cs.Equivariant(folds=0)) if quick else (50, cs.Equivariant())
+    model = cs.reduce(data, order=order, method=method, test=test)
     print(model.card.verdict)  # a loop is worth what its plant is
     loop = cs.closed_loop(model, controller=cs.PolarityLaw(kappa=1 / 60), p0=[0.0, 1.0, 0.0])
     run = loop.simulate(np.arange(0.0, scene.training.duration + 1, 10.0))
@@ -37,6 +35,6 @@ def main(quick: bool = False, out: str | None = None) -> cs.ScheduledLoop:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--out", help="folder that keeps the runs")
+    parser.add_argument("--out", help="folder that keeps the runs; default the cache")
     options = parser.parse_args()
     main(options.quick, options.out)

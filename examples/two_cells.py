@@ -8,7 +8,6 @@ one-cell controls, then of two_cells_facing.toml until the cells touch.
 
 import argparse
 import dataclasses
-import tempfile
 from pathlib import Path
 
 import cellsys as cs
@@ -26,25 +25,24 @@ def load(name: str, quick: bool) -> cs.Scene:
 
 
 def main(quick: bool = False, runs: str | None = None) -> None:
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = runs or scratch
-        readouts = []
-        for name in ("two_cells",) if quick else ("two_cells", "two_cells_far"):
-            scene = load(name, quick)
-            rest = cs.build(scene).matrix.position
-            pair, *alone = cs.run_ensemble([scene, *cs.alone_scenes(scene)], folder)
-            readouts.append(cs.observe_pair(pair, alone, rest))
-            print(f"{scene.name}: {readouts[-1]}")
-            print(f"  around cell 1 alone: {cs.attenuation_length(alone[0], rest)}")
-        print("gap (um), matrix speed in it, same place with one cell (nm/s):")
-        for row in cs.speed_against_spacing(readouts):
-            print("  " + "  ".join(f"{v:6.2f}" for v in row))
-        facing = cs.until_contact(cs.run_scene(load("two_cells_facing", quick), folder))
-        end = facing.events[-1] if facing.events else None
-        if end is None:
-            print(f"facing: no contact in {facing.t[-1]:g} s, gap {cs.edge_gap(facing)[-1]:.1f} um")
-        else:
-            print(f"facing: {end.detail} touch at {end.time:.0f} s; the run ends there")
+    folder = runs or cs.cache_folder()
+    readouts = []
+    for name in ("two_cells",) if quick else ("two_cells", "two_cells_far"):
+        scene = load(name, quick)
+        rest = cs.build(scene).matrix.position
+        pair, *alone = cs.run_ensemble([scene, *cs.alone_scenes(scene)], folder)
+        readouts.append(cs.observe_pair(pair, alone, rest))
+        print(f"{scene.name}: {readouts[-1]}")
+        print(f"  around cell 1 alone: {cs.attenuation_length(alone[0], rest)}")
+    print("gap (um), matrix speed in it, same place with one cell (nm/s):")
+    for row in cs.speed_against_spacing(readouts):
+        print("  " + "  ".join(f"{v:6.2f}" for v in row))
+    facing = cs.until_contact(cs.run_scene(load("two_cells_facing", quick), folder))
+    end = facing.events[-1] if facing.events else None
+    if end is None:
+        print(f"facing: no contact in {facing.t[-1]:g} s, gap {cs.edge_gap(facing)[-1]:.1f} um")
+    else:
+        print(f"facing: {end.detail} touch at {end.time:.0f} s; the run ends there")
 
 
 if __name__ == "__main__":

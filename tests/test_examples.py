@@ -43,7 +43,9 @@ def run(script, folder, *arguments):
         for p in SCRIPTS
     ],
 )
-def test_script_runs_in_its_quick_form(script, tmp_path):
+def test_script_runs_in_its_quick_form(script, tmp_path, tmp_path_factory, monkeypatch):
+    # They share one cache, as they do for a user.
+    monkeypatch.setenv("CELLSYS_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))
     done = run(script, tmp_path, "--quick")
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip()
