@@ -99,6 +99,10 @@ class LostRunError(CellsysError, OSError):
     """The folder of a run was removed, or taken over by another process, while it was written."""
 
 
+class UnusedDataWarning(UserWarning):
+    """A file holds arrays that nobody asks for, under names that nobody knows."""
+
+
 class DamagedRunWarning(UserWarning):
     """A run in the cache is damaged or incomplete, and is made again."""
 

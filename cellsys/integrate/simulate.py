@@ -83,7 +83,8 @@ def simulate(
     sink : Sink, optional
         Where rows go; default memory. A sink with a checkpoint is continued.
     progress : callable, optional
-        Called with the share done, 0 to 1.
+        Called with the share done, 0 to 1; by an integrator that finds a whole run at once, when
+        it is done.
     label : str
         Name of the run.
     model_error : mapping, optional
@@ -151,6 +152,8 @@ def simulate(
         statistics, events = _record_solution(system, solution, times, rows, auxiliaries)
         own = solution.estimate
         count, spent = len(times), statistics.get("wall_time")
+        if progress is not None:
+            progress(1.0)
     else:
         rng = np.random.default_rng(
             seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)

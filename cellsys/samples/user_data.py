@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -10,7 +11,13 @@ from typing import TypeVar
 import numpy as np
 import scipy.sparse as sp
 
-from cellsys.errors import DataError, DimensionError, FileFormatError, ParameterError
+from cellsys.errors import (
+    DataError,
+    DimensionError,
+    FileFormatError,
+    ParameterError,
+    UnusedDataWarning,
+)
 from cellsys.samples.csv_file import EQUAL, interval, read_csv
 from cellsys.samples.snapshots import RunData, Snapshots
 from cellsys.store.archive import READ_ERRORS, check_members
@@ -176,12 +183,20 @@ def _read_npz(path: Path) -> dict[str, np.ndarray]:
             check_members(archive, path)
             with archive:
                 read = {k: archive[k] for k in archive.files if k in ("dt", *_SHAPES)}
+                unknown = sorted(set(archive.files) - set(read))
     except (FileFormatError, FileNotFoundError):
         raise
     except READ_ERRORS as error:
         raise FileFormatError(f"{path.name} is not a readable npz file: {error}") from error
     if "x" not in read:
         raise FileFormatError(f"{path.name} has no array 'x' (samples, states)")
+    if unknown:
+        warnings.warn(
+            f"{path.name}: not used: {', '.join(map(repr, unknown))}; known names are "
+            f"dt, {', '.join(_SHAPES)}",
+            UnusedDataWarning,
+            stacklevel=4,
+        )
     for name, array in read.items():
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
             found = array.dtype.name if isinstance(array, np.ndarray) else "bytes"

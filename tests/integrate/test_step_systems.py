@@ -8,6 +8,7 @@ import pytest
 import cellsys as cs
 from cellsys.integrate import StepRun
 from cellsys.system import Event
+from tests.loop.systems import make
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,16 @@ def test_a_run_keeps_reports_and_shows():
         assert run.statistics["seen"] == 4
         assert [e.time for e in run.events] == [3.5]
         np.testing.assert_array_equal(run.p[:, 0, 0], [0, 2, 4])
+
+
+@pytest.mark.parametrize(
+    "method", [cs.DOP853(rtol=1e-6, atol=1e-6), cs.Exponential(rtol=1e-6, atol=1e-6)]
+)
+def test_an_integrator_of_whole_runs_says_when_it_is_done(method):
+    told = []
+    system = make().system
+    cs.simulate(system, method, [0.0, 1.0], auxiliaries=False, progress=told.append)
+    assert told == [1.0]
 
 
 def test_the_run_ends_where_it_is_told():

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from cellsys.errors import CellsysError, DataError, DimensionError, FileFormatError, ParameterError
+from cellsys.errors import (
+    CellsysError,
+    DataError,
+    DimensionError,
+    FileFormatError,
+    ParameterError,
+    UnusedDataWarning,
+)
 from cellsys.reduction import LeastSquares, reduce
 from cellsys.samples import snapshots
 
@@ -61,6 +68,13 @@ def test_bad_csv_files_are_refused(tmp_path, content):
         snapshots([path])
 
 
+def test_arrays_under_unknown_names_are_not_dropped_without_a_word(tmp_path, x):
+    np.savez(tmp_path / "a.npz", x=x, dt=0.5, command=x)
+    with pytest.warns(UnusedDataWarning, match=r"not used: 'command'; known names are dt"):
+        snapshots([tmp_path / "a.npz"])
+
+
+@pytest.mark.filterwarnings("ignore::cellsys.errors.UnusedDataWarning")
 def test_bad_npz_files_are_refused(tmp_path, x):
     path = tmp_path / "bad.npz"
     np.savez(path, x=x, dt=0.5)
