@@ -190,13 +190,6 @@ def _read_npz(path: Path) -> dict[str, np.ndarray]:
         raise FileFormatError(f"{path.name} is not a readable npz file: {error}") from error
     if "x" not in read:
         raise FileFormatError(f"{path.name} has no array 'x' (samples, states)")
-    if unknown:
-        warnings.warn(
-            f"{path.name}: not used: {', '.join(map(repr, unknown))}; known names are "
-            f"dt, {', '.join(_SHAPES)}",
-            UnusedDataWarning,
-            stacklevel=4,
-        )
     for name, array in read.items():
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
             found = array.dtype.name if isinstance(array, np.ndarray) else "bytes"
@@ -214,6 +207,13 @@ def _read_npz(path: Path) -> dict[str, np.ndarray]:
     if "t" in arrays and len(arrays["t"]) != len(arrays["x"]):
         raise DimensionError(
             f"{path.name}: t has {len(arrays['t'])} times for {len(arrays['x'])} samples of x"
+        )
+    if unknown:
+        warnings.warn(
+            f"{path.name}: not used: {', '.join(map(repr, unknown))}; known names are "
+            f"dt, {', '.join(_SHAPES)}",
+            UnusedDataWarning,
+            stacklevel=4,
         )
     return arrays
 
