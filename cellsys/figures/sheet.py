@@ -36,6 +36,12 @@ def not_drawn(ax: Axes, error: float) -> Axes:
 def save_png(figure: Figure, path: str | Path) -> Path:
     """Write a figure as PNG, atomically; returns the path."""
     target = Path(path)
+    figure.set_dpi(DPI)
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        # `savefig` would lay the sheet out, and draw it, twice.
+        engine.execute(figure)
+        figure.set_layout_engine("none")
     with atomic_path(target) as temporary:
         figure.savefig(temporary, dpi=DPI, format="png")
     return target
