@@ -1,14 +1,21 @@
 """Linearly implicit BDF2: implicit steps of second order.
 
-Through x_n-1, x_n and x* = x_n + h v, v = (x_n - x_n-1)/h_n, the derivative of the parabola at the
+Through x_n-1, x_n and x_n + h v, v = (x_n - x_n-1)/h_n, the derivative of the parabola at the
 step's end is v itself, and moving the end by delta adds a delta/h to it, with
 
     a = (1 + 2 w)/(1 + w) ,      w = h/h_n
 
-(3/2 at equal steps). So (a C/h + M) delta = F(x*) - C v is BDF2 [Hairer, Norsett & Wanner, Solving
-ODEs I, III.5] with one correction, for any M; delta is O(h^2), so a kept M costs no order. On
-C x' = -k x with M = m k a step multiplies delta by at most 1 for every h where m >= 3/4, the same
-bound as of implicit Euler.
+(3/2 at equal steps). So (a C/h + M) delta = F(x*) - C v at x* = x_n + h v is BDF2 [Hairer, Norsett
+& Wanner, Solving ODEs I, III.5] with one correction, for any M; delta is O(h^2), so a kept M costs
+no order. On C x' = -k x with M = m k that is stable for every h where m >= 3/4, the bound of
+implicit Euler too.
+
+The start of the corrections is free, and what they leave over is smaller from
+
+    x* = x_n + h v + h/2 (v - v') ,
+
+v' the velocity before: half of what a parabola through three points adds. With it every m >= 5/6
+is stable; with more than half, M too large by a factor of some tens is not.
 """
 
 from __future__ import annotations
@@ -26,6 +33,7 @@ from cellsys.system import OdeSystem
 
 _FIRST = 5  # a start's first step is taken in so many: the first of all is of first order
 _GROWTH = 5.0 + 1e-6  # longest step in lengths of the last one; beyond it history says nothing
+_LEVEL = 1e-6  # share by which a step may be longer than the last one for its bend to count
 _JUMP = 1e-6  # share of a rate by which it may differ on the two sides of a stop point
 
 
@@ -78,7 +86,9 @@ class _SecondOrderStepper(ImplicitStepper):
     ) -> None:
         super().__init__(method, system, t0, x0, rng)
         self.before = 0.0  # length of the last step, s; 0 where there is none to go on from
-        self.a = 1.0
+        self.a, self.bend = 1.0, 0.0
+        # The velocity before the last one, and the length of its step.
+        self.earlier, self.long = np.zeros(system.states.size), 0.0
         self.middle = self.x
         # Laws at the end of the last step; None where they must be evaluated anew.
         self.ended: tuple[np.ndarray, np.ndarray] | None = None
@@ -86,19 +96,21 @@ class _SecondOrderStepper(ImplicitStepper):
 
     def memory(self) -> dict[str, np.ndarray]:
         out = {**super().memory(), "before": np.array([self.before])}
+        out |= {"earlier": self.earlier, "long": np.array([self.long])}
         if self.ended is not None:
             out |= {"ended_eta": self.ended[0], "ended_u": self.ended[1]}
         return out
 
     def restore(self, memory: dict[str, np.ndarray]) -> None:
         super().restore(memory)
-        self.before = float(memory["before"][0])
+        self.before, self.long = float(memory["before"][0]), float(memory["long"][0])
+        self.earlier = memory["earlier"].copy()
         if "ended_eta" in memory:
             self.ended = memory["ended_eta"].copy(), memory["ended_u"].copy()
 
     def take_step(self, t: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
         if self.before and (dt > _GROWTH * self.before or (t in self.kinks and self._jumps(t))):
-            self.before = 0.0
+            self.before = self.long = 0.0
             self.velocity = np.zeros_like(self.velocity)
         if self.before:
             return super().take_step(t, dt)
@@ -118,13 +130,19 @@ class _SecondOrderStepper(ImplicitStepper):
             self.begun = self._laws(nextafter(t, inf), x) if anew else self.ended
         w = 0.0 if happened else (dt / self.before if self.before else 0.0)
         self.a = (1.0 + 2.0 * w) / (1.0 + w)
+        # Not where steps grow: a bend that is found in short steps says little about a long one.
+        level = 0.0 < w < 1.0 + _LEVEL and self.long
+        self.bend = 0.5 * dt * (dt + self.before) / (self.before + self.long) if level else 0.0
         # Internal states follow the laws of the middle, to which the last velocity leads.
         self.middle = x + 0.5 * dt * self.velocity
         self.system.advance_half(t, x, self.middle, 0.5 * dt)
         return self.a
 
     def predicted(self, t: float, x: np.ndarray, dt: float) -> np.ndarray:
-        return x + dt * self.velocity
+        end = x + dt * self.velocity
+        if self.bend:
+            end += self.bend * (self.velocity - self.earlier)
+        return end
 
     def law_time(self, t: float) -> float:
         return nextafter(t, -inf) if t in self.kinks else t
@@ -136,8 +154,11 @@ class _SecondOrderStepper(ImplicitStepper):
     def advance_internal(self, t: float, x: np.ndarray, end: np.ndarray, dt: float) -> None:
         self.system.advance_by_middle(t, x, self.middle, end, dt)
 
-    def accepted(self, eta: np.ndarray, u: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-        self.before = dt
+    def accepted(
+        self, eta: np.ndarray, u: np.ndarray, velocity: np.ndarray, dt: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        self.earlier, self.velocity = self.velocity, velocity
+        self.before, self.long = dt, self.before
         if self.begun is None:
             return eta, u
         (eta_begun, u_begun), self.ended = self.begun, (eta, u)

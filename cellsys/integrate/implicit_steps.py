@@ -159,8 +159,11 @@ class ImplicitStepper(Stepper):
         """When the laws of a step that ends at t are evaluated."""
         return t
 
-    def accepted(self, eta: np.ndarray, u: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    def accepted(
+        self, eta: np.ndarray, u: np.ndarray, velocity: np.ndarray, dt: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Averages of eta and u over a step that is taken, from those at its end."""
+        self.velocity = velocity
         return eta, u
 
     # The step
@@ -275,10 +278,9 @@ class ImplicitStepper(Stepper):
         if largest > self.method.largest_move and isfinite(largest):
             return None
         self.advance_internal(t, x, end, dt)
-        self.velocity = velocity
         self.events.extend(happened)
         self.x = end
-        eta, u = self.accepted(eta, u, dt)
+        eta, u = self.accepted(eta, u, velocity, dt)
         if self.averages:
             for states, rates in system.internal_blocks():
                 eta[rates] = (end[states] - x[states]) / dt

@@ -157,3 +157,37 @@ def test_both_implicit_steppers_are_steppers():
     for method in (LinearlyImplicit, BDF2):
         started = method(step=0.1).start(Springs(), 0.0, np.zeros(5), np.random.default_rng(0))
         assert isinstance(started, Stepper)
+
+
+@pytest.mark.parametrize("factor", [0.84, 1.0, 10.0, 300.0])
+def test_one_correction_is_stable_with_every_over_estimate(factor):
+    """At a thousand times the explicit limit, from a start that is far from rest."""
+    assert _grows(factor, 0.5) < 1.0
+
+
+def test_naive_start_on_the_whole_parabola_is_not():
+    """Three points extrapolated for all they are worth: what M leaves over comes back larger."""
+    assert _grows(10.0, 1.0) > 10.0
+
+
+def _grows(factor, bend):
+    """Size of a linear chain's motion after 60 s over that after 6 s."""
+
+    class Bent(type(_stepper(1.0))):
+        def predicted(self, t, x, dt):
+            self.bend *= 2.0 * bend
+            return super().predicted(t, x, dt)
+
+    stepper = _stepper(factor)
+    stepper.__class__ = Bent
+    stepper.advance(6.0)
+    early = np.abs(stepper.velocity).max()
+    stepper.advance(60.0)
+    return np.abs(stepper.velocity).max() / early
+
+
+def _stepper(factor):
+    system = Springs(stiffness=2e3, pull=0.0, factor=factor)
+    start = 1e-6 * np.array([1.0, -2.0, 3.0, -1.0, 0.0])
+    method = BDF2(step=1.0, corrections=1, largest_move=1e9)
+    return method.start(system, 0.0, start, np.random.default_rng(0))
