@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,6 +27,14 @@ class MajorantBlock(NamedTuple):
     matrix: Callable[[], sp.csc_array]
     key: object
     factor: Callable[[sp.csc_array], Callable] | None = None
+
+
+@runtime_checkable
+class Placed(Protocol):
+    """A solver that reads and writes entries of longer vectors itself, without copies."""
+
+    def placed(self, index: np.ndarray) -> Callable[[np.ndarray, np.ndarray], None]:
+        """``solve(rhs, out)`` of the entries `index` (k,) or (k, c)."""
 
 
 class RankOne(NamedTuple):

@@ -25,7 +25,7 @@ import scipy.sparse.linalg as spla
 from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.integrate.stepping import Stepper, check_step
-from cellsys.overdamped import MajorantBlock, OverdampedSystem
+from cellsys.overdamped import MajorantBlock, OverdampedSystem, Placed
 from cellsys.system import OdeSystem
 
 _STILL = 1e-9  # um/s: nodes that are slower are at rest
@@ -75,20 +75,29 @@ class _Factor:
     where: slice | np.ndarray
     key: object
     span: float
-    solve: Callable[[np.ndarray], np.ndarray]
-
-    def part(self, vector: np.ndarray) -> np.ndarray:
-        """The block's entries of a vector, shaped like `index`."""
-        return vector[self.where].reshape(self.index.shape)
+    solve: Callable[[np.ndarray, np.ndarray], None]  # from a whole vector into another one
 
     def square(self, vector: np.ndarray) -> float:
         """Sum of squares of the block's entries."""
         part = vector[self.where].ravel()
         return part.dot(part)
 
-    def put(self, vector: np.ndarray, values: np.ndarray) -> None:
-        """Write the block's entries into a vector."""
-        vector[self.where] = values.ravel() if isinstance(self.where, slice) else values
+
+def _placed(
+    solve: Callable[[np.ndarray], np.ndarray], index: np.ndarray
+) -> Callable[[np.ndarray, np.ndarray], None]:
+    """A solver of a block as one of whole vectors."""
+    if isinstance(solve, Placed):
+        return solve.placed(index)
+
+    def through(rhs: np.ndarray, out: np.ndarray) -> None:
+        out[index] = solve(rhs[index])
+
+    return through
+
+
+def _nothing(rhs: np.ndarray, out: np.ndarray) -> None:
+    """A block that is held moves nowhere."""
 
 
 def _lu(matrix: sp.csc_array) -> Callable[[np.ndarray], np.ndarray]:
@@ -181,9 +190,7 @@ class ImplicitStepper(Stepper):
         keep = self.moving[block.entries[:, 0]]
         index = block.entries[keep]
         if not index.size:  # all of it is held
-            return _Factor(
-                index=index, where=slice(0, 0), key=block.key, span=span, solve=np.zeros_like
-            )
+            return _Factor(index=index, where=slice(0, 0), key=block.key, span=span, solve=_nothing)
         matrix = block.matrix()
         if not keep.all():
             matrix = sp.csc_array(matrix)[:, keep][keep]
@@ -194,7 +201,8 @@ class ImplicitStepper(Stepper):
         first = int(index.min(initial=0))
         in_line = np.array_equal(index.ravel(), np.arange(first, first + index.size))
         where = slice(first, first + index.size) if in_line else index
-        return _Factor(index=index, where=where, key=block.key, span=span, solve=solve)
+        whole = _placed(solve, index)
+        return _Factor(index=index, where=where, key=block.key, span=span, solve=whole)
 
     def _solve(self, rhs: np.ndarray, low_rank: tuple) -> np.ndarray:
         """(C/span + M + sum of k g g^T)^-1 rhs by kept factors and the Woodbury identity.
@@ -204,7 +212,7 @@ class ImplicitStepper(Stepper):
         out = np.zeros_like(rhs)
         for factor in self.factors.values():
             if factor.index.size:
-                factor.put(out, factor.solve(factor.part(rhs)))
+                factor.solve(rhs, out)
                 self.statistics["solves"] += 1
         if not low_rank:
             return out
@@ -213,9 +221,8 @@ class ImplicitStepper(Stepper):
         for g, z, item in zip(G, Z, low_rank, strict=True):
             g[item.entries] = item.direction
             for factor in self.factors.values():
-                part = factor.part(g)
-                if part.any():
-                    factor.put(z, factor.solve(part))
+                if factor.index.size and g[factor.where].any():
+                    factor.solve(g, z)
         small = G @ Z.T
         for k, item in enumerate(low_rank):
             small[k, k] += 1.0 / item.stiffness

@@ -8,7 +8,9 @@ in dense panels, a solve takes about a quarter of SuperLU's time on the matrix o
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
@@ -90,13 +92,19 @@ class Factorised:
         self._work = np.empty(2 * a.order.size)
 
     def __call__(self, rhs: np.ndarray) -> np.ndarray:
-        a, columns = self.analysis, np.ascontiguousarray(rhs).reshape(len(rhs), -1)
-        out = np.empty(columns.shape)
-        kernels.solve(
-            a.order, a.first, a.start, a.rows,
-            self._panels, a.panel_at, self._corners, a.corner_at, columns, self._work, out,
+        given, out = np.ascontiguousarray(rhs, dtype=float), np.empty(rhs.shape)
+        index = np.arange(given.size).reshape(len(rhs), -1)
+        self.placed(index)(given.ravel(), out.ravel())
+        return out
+
+    def placed(self, index: np.ndarray) -> Callable[[np.ndarray, np.ndarray], None]:
+        """``solve(rhs, out)`` on the entries `index` (n,) or (n, k) of longer vectors."""
+        a = self.analysis
+        at = np.ascontiguousarray(index.reshape(len(index), -1)[a.order])
+        return partial(
+            kernels.solve, at, a.first, a.start, a.rows,
+            self._panels, a.panel_at, self._corners, a.corner_at, self._work,
         )  # fmt: skip
-        return out.reshape(rhs.shape)
 
 
 def analyse(matrix: sp.csc_array) -> Analysis:

@@ -150,21 +150,25 @@ def _before(children, s):
 
 
 @compiled(vector=True)
-def solve(order, first, start, rows, panels, panel_at, corners, corner_at, rhs, work, out):
-    """out = A^-1 rhs (n, k) by the panels B^T S and corners S of `factorise`; work: (2 n,)."""
-    for column in range(rhs.shape[1]):
-        _solve(order, first, start, rows, panels, panel_at, corners, corner_at, rhs, work, out,
+def solve(at, first, start, rows, panels, panel_at, corners, corner_at, work, rhs, out):
+    """out[at] = A^-1 rhs[at] by the panels B^T S and corners S of `factorise`; work: (2 n,).
+
+    at (n, k): where the n unknowns, in the order of the factor, lie in the vectors rhs and out, k
+    right-hand sides one after the other.
+    """
+    for column in range(at.shape[1]):
+        _solve(at, first, start, rows, panels, panel_at, corners, corner_at, work, rhs, out,
                column)  # fmt: skip
 
 
 @compiled(vector=True)
 def _solve(
-    order, first, start, rows, panels, panel_at, corners, corner_at, rhs, work, out, column
+    places, first, start, rows, panels, panel_at, corners, corner_at, work, rhs, out, column
 ):  # fmt: skip
-    n = order.size
+    n = places.shape[0]
     b = work[:n]
     for i in range(n):
-        b[i] = rhs[order[i], column]
+        b[i] = rhs[places[i, column]]
     for s in range(first.size - 1):
         c, w = first[s], first[s + 1] - first[s]
         r = start[s + 1] - start[s]
@@ -224,4 +228,4 @@ def _solve(
             b[c + k] = inner[k] - s0
             k += 1
     for i in range(n):
-        out[order[i], column] = b[i]
+        out[places[i, column]] = b[i]
