@@ -37,6 +37,14 @@ class Placed(Protocol):
         """``solve(rhs, out)`` of the entries `index` (k,) or (k, c)."""
 
 
+@runtime_checkable
+class Rounded(Protocol):
+    """A solver that has a faster one, right to some 1e-7."""
+
+    def rounded(self) -> Callable[[np.ndarray], np.ndarray]:
+        """That one."""
+
+
 class RankOne(NamedTuple):
     """A stiff direction k g g^T (pressure of a closed membrane), g (k,) on the states `entries`."""
 

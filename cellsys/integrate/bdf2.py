@@ -76,6 +76,8 @@ class BDF2(ImplicitMethod):
 
 
 class _SecondOrderStepper(ImplicitStepper):
+    rounds = True
+
     def __init__(
         self,
         method: BDF2,

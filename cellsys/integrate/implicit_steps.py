@@ -25,7 +25,7 @@ import scipy.sparse.linalg as spla
 from cellsys.arguments import checked
 from cellsys.errors import ParameterError
 from cellsys.integrate.stepping import Stepper, check_step
-from cellsys.overdamped import MajorantBlock, OverdampedSystem, Placed
+from cellsys.overdamped import MajorantBlock, OverdampedSystem, Placed, Rounded
 from cellsys.system import OdeSystem
 
 _STILL = 1e-9  # um/s: nodes that are slower are at rest
@@ -115,6 +115,7 @@ class ImplicitStepper(Stepper):
     """A run by linearly implicit Euler; methods of another order replace `weight` and the like."""
 
     system: OverdampedSystem
+    rounds = False  # whether a correction may be right to some 1e-7 only
 
     def __init__(
         self,
@@ -196,6 +197,8 @@ class ImplicitStepper(Stepper):
             matrix = sp.csc_array(matrix)[:, keep][keep]
         matrix = sp.csc_array(matrix + sp.diags_array(self.drag[index[:, 0]] / span))
         solve = (block.factor or _lu)(matrix)
+        if self.rounds and isinstance(solve, Rounded):
+            solve = solve.rounded()
         if index.shape[1] == 1:
             index = index[:, 0]
         first = int(index.min(initial=0))

@@ -324,6 +324,19 @@ def test_sparse_cholesky_of_the_disc_agrees_with_superlu_and_stores_half():
     assert a.panel_at[-1] + a.corner_at[-1] < 0.7 * (lu.L.nnz + lu.U.nnz)
 
 
+def test_sparse_cholesky_solves_entries_of_a_longer_vector_and_in_single_precision():
+    matrix, rng = spd(60, 3), np.random.default_rng(3)
+    solve, index = SparseCholesky()(matrix), rng.permutation(200)[:120].reshape(60, 2)
+    rhs, out = rng.standard_normal(200), np.full(200, np.nan)
+    solve.placed(index)(rhs, out)
+    expected = solve(rhs[index])
+    assert np.array_equal(out[index], expected)
+    assert np.isnan(np.delete(out, index.ravel())).all()  # nothing else is touched
+    rough = solve.rounded()(rhs[index])
+    # Single precision, 6e-8, times the condition number of the matrix, below 1e3 here.
+    assert 0.0 < np.abs(rough - expected).max() < 6e-5 * np.abs(expected).max()
+
+
 def test_sparse_cholesky_follows_the_pattern():
     """The analysis is kept for one pattern and made anew for another one."""
     factor = SparseCholesky()
