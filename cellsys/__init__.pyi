@@ -16,6 +16,7 @@ from .accuracy import (
     work_precision,
 )
 from .bondgraph import BondGraph
+from .design import Fitted, ParameterProfile, Recording, fit
 from .errors import (
     MemoryBudgetError,
     CausalityError,

@@ -20,7 +20,7 @@ import cellsys as cs
 from tests.study.scenes import TINY
 
 ROOMS = (
-    "accuracy", "bondgraph", "cell", "field", "integrate", "loop", "model", "observe",
+    "accuracy", "bondgraph", "cell", "design", "field", "integrate", "loop", "model", "observe",
     "population", "reduction", "response", "samples", "scene", "store", "study", "worth",
 )  # fmt: skip
 
@@ -169,6 +169,7 @@ GOOD = {
     "work_precision.setups": lambda: [setup()], "check_budget.setups": lambda: [setup()],
     "work_precision.reference": lambda: (setup(), setup()), "check_budget.reference": setup,
     "coupling_cost.form": lambda: cs.Superposition(), "grid.settings": lambda: {},
+    "fit.data": lambda: cs.Recording(t=T, headings=T), "Recording.t": lambda: T,
     "closed_loop.model": model, "with_matrix.model": equivariant,
     "with_matrix.field": lambda: cs.full_field(spreading()),
     "realisation_floor.model": equivariant, "realisation_floor.pairs": lambda: [],

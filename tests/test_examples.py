@@ -15,6 +15,7 @@ FAST = {
     "your_own_reductor.py",
     "bond_graph.py",
     "python_control.py",
+    "fit_kappa.py",
 }
 SCRIPTS = sorted(
     [

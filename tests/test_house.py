@@ -32,7 +32,7 @@ FLOORS = [
     ("cli", "__main__"),
     ("study",),
     ("figures",),
-    ("accuracy",),
+    ("accuracy", "design"),
     ("population",),
     ("observe",),
     ("loop",),

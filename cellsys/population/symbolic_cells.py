@@ -210,15 +210,15 @@ def _form(
     driven, turned, sensed = [], [], []
     for k, cell in enumerate(each):
         p = x[n + 3 * k : n + 3 * k + 3]
-        push = told.amplitude(k), known.value("force", cell)
-        driven.append(commands_of(loop.model.input_names, told.pointed(k, p), *push))
+        strength = told.amplitude(k), known.value("force", cell)
+        driven.append(commands_of(loop.model.input_names, told.pointed(k, p), *strength))
         own = z[k * m : (k + 1) * m]
         d = direction_of(loop.sensor, own, known, cell, normalise=loop.normalise)
         sensed.append(d)
         turned.append(rate(p, d, known.value("kappa", cell)))
-    moved = ca.mtimes(M, x[:n]) + ca.mtimes(D, ca.vertcat(*driven)) + b
+    push = ca.mtimes(D, ca.vertcat(*driven)) + b
     if whole.loads:
-        moved = moved + ca.mtimes(_mx(whole.L), told.u[-len(whole.loads) :])
+        push = push + ca.mtimes(_mx(whole.L), told.u[-len(whole.loads) :])
     places, place_names = place_outputs(z, wanted.place, each, m)
     p_names = vector_names("p", each)
     start = heading_of(x0[n:].reshape(K, 3))
@@ -231,9 +231,10 @@ def _form(
         u=told.u,
         p=known.p,
         t=t,
-        rhs=ca.vertcat(moved, *turned),
+        rhs=ca.vertcat(ca.mtimes(M, x[:n]) + push, *turned),
         y=ca.vertcat(z, x[n:], *sensed, *places),
         linear=whole.M if isinstance(whole.M, np.ndarray) else None,
+        rest=push,
         x0=x0,
         u0=np.concatenate([told.start(start), np.zeros(len(whole.loads))]),
         p0=known.p0,
@@ -243,4 +244,4 @@ def _form(
 def _mx(value: np.ndarray | ca.MX) -> ca.MX:
     import casadi as ca
 
-    return value if isinstance(value, ca.MX) else ca.MX(ca.DM(value))
+    return value if isinstance(value, ca.MX) else ca.MX(ca.sparsify(ca.DM(value)))

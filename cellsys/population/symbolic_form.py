@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.linalg as sla
+from scipy.sparse.csgraph import connected_components
 
 from cellsys.contracts import Integrator
 from cellsys.errors import ParameterError
@@ -35,7 +36,10 @@ class SymbolicLoop(Shown):
         s, of a loop with a step of its own.
     linear : (n, n) or None
         The constant matrix of the linear part of `rhs`, whose flow `step` takes exactly; None
-        where it holds parameters.
+        where it holds parameters. `rest` is that of `rhs` which it is not.
+    wide : bool
+        Whole vectors are summed over (the nodes of a sensor's map): not to be written out in
+        scalars.
     x0, u0, p0 : arrays
         The loop's own start, inputs (amplitude 1, heading at the start, loads 0) and parameters.
     """
@@ -52,6 +56,8 @@ class SymbolicLoop(Shown):
     y: ca.MX
     dt: float | None = None
     linear: np.ndarray | None = None
+    rest: ca.MX | None = None
+    wide: bool = False
     x0: np.ndarray
     u0: np.ndarray
     p0: np.ndarray
@@ -130,10 +136,10 @@ class SymbolicLoop(Shown):
             after = self.x
             for i in range(count):
                 after = once(after, self.u, self.p, self.t + i * self.dt)
-        elif self.linear is None:
+        elif self.linear is None or self.rest is None:
             after = self._explicit(h)
         else:
-            after = self._exponential(self.linear, h)
+            after = self._exponential(self.linear, self.rest, h)
         kept = ca.Function("step", symbols, [after], ["x", "u", "p", "t"], ["xf"])
         self._kept[h] = kept
         return kept
@@ -149,18 +155,17 @@ class SymbolicLoop(Shown):
             after = once(after, self.u, self.p)
         return after
 
-    def _exponential(self, L: np.ndarray, h: float) -> ca.MX:
+    def _exponential(self, L: np.ndarray, rest: ca.MX, h: float) -> ca.MX:
         import casadi as ca
 
         n, k = len(L), self.x.numel()
         E, one, two, three = _phis(h * L)
         half, phi_half = _phis(0.5 * h * L)[:2]
-        rest = self.rhs[:n] - ca.mtimes(ca.DM(L), self.x[:n])
         N = ca.Function("N", [self.x, self.u, self.p], [ca.vertcat(rest, self.rhs[n:])])
 
         def act(M: np.ndarray, v: ca.MX, other: float) -> ca.MX:
             # `other`: what M is on the states without a linear part, the polarities.
-            return ca.vertcat(ca.mtimes(ca.DM(M), v[:n]), other * v[n:k])
+            return ca.vertcat(ca.mtimes(ca.sparsify(ca.DM(M)), v[:n]), other * v[n:k])
 
         x, w = self.x, (one - 3 * two + 4 * three, 2 * two - 4 * three, 4 * three - two)
         N0 = N(x, self.u, self.p)
@@ -189,16 +194,22 @@ class SymbolicLoop(Shown):
 
 
 def _phis(M: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """exp, phi_1, phi_2 and phi_3 of M from one exponential of [[M, I, 0, 0], [0, 0, I, 0], ...].
+    """exp, phi_1, phi_2 and phi_3 of M, phi_1(z) = (e^z - 1)/z and so on, block by block.
 
-    phi_1(z) = (e^z - 1)/z and so on.
+    Of each block from one exponential of [[M, I, 0, 0], [0, 0, I, 0], ...].
     """
-    n = len(M)
-    whole = np.zeros((4 * n, 4 * n))
-    whole[:n, :n] = M
-    whole[: 3 * n, n:] += np.eye(3 * n)
-    found = sla.expm(whole)[:n]
-    return found[:, :n], found[:, n : 2 * n], found[:, 2 * n : 3 * n], found[:, 3 * n :]
+    out = [np.zeros_like(M, dtype=float) for _ in range(4)]
+    count, block = connected_components(np.abs(M) > 0, directed=False)
+    for k in range(count):
+        rows = np.flatnonzero(block == k)
+        n, at = len(rows), np.ix_(rows, rows)
+        whole = np.zeros((4 * n, 4 * n))
+        whole[:n, :n] = M[at]
+        whole[: 3 * n, n:] += np.eye(3 * n)
+        found = sla.expm(whole)[:n]
+        for i, part in enumerate(out):
+            part[at] = found[:, i * n : (i + 1) * n]
+    return out[0], out[1], out[2], out[3]
 
 
 def _seconds(step: float) -> float:

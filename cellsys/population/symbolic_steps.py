@@ -10,6 +10,7 @@ from cellsys.cell.dynamics import CellDynamics
 from cellsys.errors import ParameterError
 from cellsys.laws.polarity import heading_features, symbolic_step
 from cellsys.loop import AntiparallelTurn, PolarityLaw, ScheduledLoop
+from cellsys.model.network_sensor import LocalSensor
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.model.sensor_block import latent_names, vector_names
 from cellsys.model.sensor_symbols import unit_symbols
@@ -76,6 +77,7 @@ def scheduled_form(loop: ScheduledLoop, wanted: SymbolicRequest) -> SymbolicLoop
         rhs=after,
         y=ca.vertcat(x, before, z[-2:]),
         dt=dt,
+        wide=isinstance(sensor, LocalSensor),
         x0=x0,
         u0=told.start(heading_of(x0[None, m:])),
         p0=known.p0,
@@ -241,6 +243,7 @@ def equivariant_form(cells: EquivariantCells, wanted: SymbolicRequest) -> Symbol
         rhs=ca.vertcat(moved, *ahead),
         y=ca.vertcat(ca.mtimes(ca.DM(C[shown]), x[:n]), x[n:]),
         dt=cells.dt,
+        wide=isinstance(sensor, LocalSensor),
         x0=start,
         u0=np.concatenate([told.start(theta), np.zeros(len(loads))]),
         p0=known.p0,
