@@ -16,7 +16,18 @@ from .accuracy import (
     work_precision,
 )
 from .bondgraph import BondGraph
-from .design import Fitted, ParameterProfile, Recording, fit
+from .design import (
+    Fitted,
+    Miss,
+    Obstacle,
+    ParameterProfile,
+    Recording,
+    Steered,
+    SteeredRun,
+    Target,
+    fit,
+    steer,
+)
 from .errors import (
     MemoryBudgetError,
     CausalityError,

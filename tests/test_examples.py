@@ -16,6 +16,7 @@ FAST = {
     "bond_graph.py",
     "python_control.py",
     "fit_kappa.py",
+    "design_a_controller.py",
 }
 SCRIPTS = sorted(
     [

@@ -3,5 +3,19 @@
 from cellsys.design.fit import fit
 from cellsys.design.fitted import Fitted, ParameterProfile
 from cellsys.design.recording import Recording
+from cellsys.design.steer import steer
+from cellsys.design.steered import Miss, Steered, SteeredRun
+from cellsys.design.target import Obstacle, Target
 
-__all__ = ["Fitted", "ParameterProfile", "Recording", "fit"]
+__all__ = [
+    "Fitted",
+    "Miss",
+    "Obstacle",
+    "ParameterProfile",
+    "Recording",
+    "Steered",
+    "SteeredRun",
+    "Target",
+    "fit",
+    "steer",
+]

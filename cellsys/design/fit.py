@@ -190,8 +190,7 @@ def _shooting(
     if seen.n_cells != K:
         raise DimensionError(f"data has {seen.n_cells} cells, the loop has {K}")
     seen_places = seen.positions is not None
-    if seen_places and not any(name.split("_")[-1] == "x" and "p_" not in name and "d_" not in name
-                               for name in form.outputs):  # fmt: skip
+    if seen_places and form.place is None:
         raise ParameterError("positions need place=, the map of [1; z] to the place of a cell")
     few = substeps_of(form, seen.step, count, float(seen.t[0]), _ANGLE)
     grid = ShotGrid(start=float(seen.t[0]), step=seen.step, count=count, substeps=few)

@@ -66,8 +66,7 @@ class Shooting:
         self.n = len(form.x0)
         first = form.states.index(next(name for name in form.states if name.endswith("p_x")))
         self.heading_at = first + 3 * np.arange(self.K)
-        self.places = [i for i, name in enumerate(form.outputs) if name.split("_")[-1] in "xy"
-                       and "p_" not in name and "d_" not in name] if places else []  # fmt: skip
+        self.places = list(range(2 * self.K)) if places else []
         self.scale = np.abs(form.p0[free])
         self.scale[self.scale == 0] = 1.0
         # One vector holds all that goes on from sample to sample: state, unknowns and time.
@@ -83,9 +82,9 @@ class Shooting:
         written_out = self.n <= _WRITTEN_OUT and not form.wide
         self.stride = stride.expand() if written_out else stride
         seen = [x[self.heading_at + i] for i in (0, 1)]
-        if self.places:
-            more = [] if form.dt is None else [t]
-            seen.append(form.function()(x, u, p, *more)[1][self.places])
+        if self.places and form.place is not None:
+            at = ca.Function("place", [form.x, form.u, form.p, form.t], [form.place])
+            seen.append(at(x, u, p, t))
         read = ca.Function("read", [s], [ca.vertcat(*seen)])
         self.read = read.expand() if written_out else read
         self.width = self.read.size1_out(0)

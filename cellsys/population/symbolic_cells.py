@@ -233,6 +233,7 @@ def _form(
         t=t,
         rhs=ca.vertcat(ca.mtimes(M, x[:n]) + push, *turned),
         y=ca.vertcat(z, x[n:], *sensed, *places),
+        place=ca.vertcat(*places) if places else None,
         linear=whole.M if isinstance(whole.M, np.ndarray) else None,
         rest=push,
         x0=x0,

@@ -37,6 +37,10 @@ class SymbolicLoop(Shown):
     linear : (n, n) or None
         The constant matrix of the linear part of `rhs`, whose flow `step` takes exactly; None
         where it holds parameters. `rest` is that of `rhs` which it is not.
+    place : casadi.MX or None
+        Places of all cells (2 K, 1), um, where they are known.
+    moved : casadi.MX or None
+        The part of `rhs` without polarities, of a loop with a step of its own.
     wide : bool
         Whole vectors are summed over (the nodes of a sensor's map): not to be written out in
         scalars.
@@ -57,6 +61,8 @@ class SymbolicLoop(Shown):
     dt: float | None = None
     linear: np.ndarray | None = None
     rest: ca.MX | None = None
+    place: ca.MX | None = None
+    moved: ca.MX | None = None
     wide: bool = False
     x0: np.ndarray
     u0: np.ndarray

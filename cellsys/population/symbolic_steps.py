@@ -62,7 +62,7 @@ def scheduled_form(loop: ScheduledLoop, wanted: SymbolicRequest) -> SymbolicLoop
     mean = 0.5 * (before + sensed(ahead))
     mean = ca.if_else(ca.dot(mean, mean) > 0, unit_symbols(mean), before)
     drive = told.pointed(0, turned(law, p, mean, kappa, 0.5 * dt))
-    after = ca.vertcat(plant(z, drive, a, t), turned(law, p, mean, kappa, dt))
+    moved = plant(z, drive, a, t)
     names, p_names = latent_names(m), vector_names("p")
     x0 = loop.system.x0
     return SymbolicLoop(
@@ -74,9 +74,11 @@ def scheduled_form(loop: ScheduledLoop, wanted: SymbolicRequest) -> SymbolicLoop
         u=told.u,
         p=known.p,
         t=t,
-        rhs=after,
+        rhs=ca.vertcat(moved, turned(law, p, mean, kappa, dt)),
         y=ca.vertcat(x, before, z[-2:]),
         dt=dt,
+        place=z[-2:],
+        moved=moved,
         wide=isinstance(sensor, LocalSensor),
         x0=x0,
         u0=told.start(heading_of(x0[None, m:])),
@@ -171,8 +173,10 @@ def stepped_form(cells: PortedCells, wanted: SymbolicRequest) -> SymbolicLoop:
         p=known.p,
         t=ca.MX.sym("t"),
         rhs=ca.vertcat(moved, *ahead),
+        moved=moved,
         y=ca.vertcat(x[: K * m], x[n:], *sensed, *places),
         dt=dt,
+        place=ca.vertcat(*places) if places else None,
         x0=x0,
         u0=np.concatenate([told.start(heading_of(x0[n:].reshape(K, 3))), np.zeros(len(loads))]),
         p0=known.p0,
@@ -241,7 +245,9 @@ def equivariant_form(cells: EquivariantCells, wanted: SymbolicRequest) -> Symbol
         p=known.p,
         t=ca.MX.sym("t"),
         rhs=ca.vertcat(moved, *ahead),
+        moved=moved,
         y=ca.vertcat(ca.mtimes(ca.DM(C[shown]), x[:n]), x[n:]),
+        place=x[n - 2 * K : n],
         dt=cells.dt,
         wide=isinstance(sensor, LocalSensor),
         x0=start,

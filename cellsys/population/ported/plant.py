@@ -107,7 +107,7 @@ def linear_plant(
     )
 
 
-class Steered:
+class SteeredInputs:
     """How the commands of one cell drive it: u = slope c + rest, in harmonics u.
 
     Parameters
@@ -183,7 +183,7 @@ def moving_plant(
     R_u = B[m:] - R @ B[:m]
     ride = _ride(model, cells.gathers) / dt  # of q+ - q
     exact = commands == "harmonics"
-    steered = [Steered(names, float(a), exact=exact) for a in np.asarray(placement.headings)]
+    steered = [SteeredInputs(names, float(a), exact=exact) for a in np.asarray(placement.headings)]
     n_u = steered[0].slope.shape[1]
     U = read_points(field, points)
     # Commands, loads, and what is constant, as columns of [z, q] and of the centroids.
@@ -254,7 +254,7 @@ def _ride(model: ChargedModel, gathers: np.ndarray) -> np.ndarray:
 
 
 def _outputs(
-    places: np.ndarray, steered: list[Steered], U: np.ndarray, n_z: int, n_in: int
+    places: np.ndarray, steered: list[SteeredInputs], U: np.ndarray, n_z: int, n_in: int
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """C, D and names: displacements, then centroid and polarity of each cell, then gaps."""
     K, n = len(places), U.shape[1]

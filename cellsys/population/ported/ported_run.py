@@ -146,13 +146,13 @@ class PortedSystem(OdeSystem):
 
     def casadi(self) -> SymbolicForm[ca.MX]:
         """CasADi form of cells and field."""
-        kept = self.__dict__.get("_symbolic_form")
+        cells, M, drive = self.flow.cells, self.flow.M, self.flow.drive
+        kept = cells.__dict__.get("_symbolic_form")
         if kept is None:
-            cells, M, drive = self.flow.cells, self.flow.M, self.flow.drive
             K, size = cells.n_cells, cells.n_cells * cells.order
             read = np.eye(size, len(M)), np.zeros(size)
             kept = symbolic_cells(self.loop, K, (M, drive[:, :-1], drive[:, -1]), read)
-            self.__dict__["_symbolic_form"] = kept
+            cells.__dict__["_symbolic_form"] = kept
         return kept
 
 
@@ -173,6 +173,8 @@ def ported_system(cells: CellsAtPorts, loop: ClosedLoop | None, start: np.ndarra
     system = PortedSystem(states=layout(cells, loop), x0=start, forcing=forcing)
     object.__setattr__(system, "flow", flow)
     object.__setattr__(system, "loop", loop)
+    # CasADi's integrators are kept with the cells: they take their start as an argument.
+    system.__dict__["_integrators"] = cells.__dict__.setdefault("_integrators", {})
     return system
 
 

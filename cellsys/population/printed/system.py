@@ -155,7 +155,7 @@ class CoupledSystem(OdeSystem):
         NotSymbolicError
             Above K m = 1000, where its dense matrices are no longer worth it.
         """
-        kept = self.__dict__.get("_symbolic_form")
+        kept = self.__dict__.get("_symbolic_form", self.symbols.get("form"))
         if kept is None:
             cells = self.whole.cells
             K, n = cells.n_cells, cells.n_cells * cells.order
@@ -166,8 +166,16 @@ class CoupledSystem(OdeSystem):
                 )
             M, D, b, T = self.whole.matrices()
             kept = symbolic_cells(cells.loop, K, (M, D, b), (T, self.whole.offset.ravel()))
-            self.__dict__["_symbolic_form"] = kept
+            self.symbols["form"] = kept
+        self.__dict__["_symbolic_form"] = kept
         return kept
+
+    @property
+    def symbols(self) -> dict[str, SymbolicForm[ca.MX]]:
+        """The form, kept with the cells: it does not depend on where a run starts."""
+        kept: dict[type, dict[str, SymbolicForm[ca.MX]]]
+        kept = self.whole.cells.__dict__.setdefault("_symbols", {})
+        return kept.setdefault(type(self), {})
 
 
 class EmergentSystem(CoupledSystem):
@@ -262,6 +270,9 @@ def coupled_system(
         kind = EmergentSystem if cells.modes is None else SplitSystem
     system = kind(states=Layout(blocks), x0=start, forcing=forcing)
     object.__setattr__(system, "whole", whole)
+    # CasADi's integrators are kept with the cells too: they take their start as an argument.
+    integrators = cells.__dict__.setdefault("_integrators_of", {})
+    system.__dict__["_integrators"] = integrators.setdefault(kind, {})
     return system
 
 
