@@ -68,6 +68,8 @@ from .integrate import (
 )
 from .loop import (
     ClosedLoop,
+    LiteralLoop,
+    literal_loop,
     MPol,
     AntiparallelTurn,
     PolarityLaw,

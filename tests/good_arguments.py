@@ -170,6 +170,8 @@ GOOD = {
     "work_precision.reference": lambda: (setup(), setup()), "check_budget.reference": setup,
     "coupling_cost.form": lambda: cs.Superposition(), "grid.settings": lambda: {},
     "fit.data": lambda: cs.Recording(t=T, headings=T), "Recording.t": lambda: T,
+    "literal_loop.input_map": lambda: cs.MPol(np.ones((3, 360))),
+    "literal_loop.force": lambda: 600.0, "literal_loop.drag": lambda: 10.0,
     "steer.loop": lambda: cs.closed_loop(equivariant()), "steer.horizon": lambda: 150.0,
     "steer.target": lambda: cs.Target(place=[1.0, 0.0]), "Obstacle.center": lambda: (0.0, 0.0),
     "Steered.target": lambda: cs.Target(gap=1.0),

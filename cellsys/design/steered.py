@@ -19,7 +19,7 @@ from cellsys.trajectory import Trajectory
 
 @checked
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Miss:
+class Miss(Shown):
     """How far from the target: each NaN where the target does not say.
 
     Attributes

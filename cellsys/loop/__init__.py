@@ -3,6 +3,7 @@
 from cellsys.loop.closed_loop import ClosedLoop, Linearisation
 from cellsys.loop.input_map import MPol
 from cellsys.loop.join import closed_loop, loop_copies, parametric_loop
+from cellsys.loop.literal import LiteralLoop, literal_loop
 from cellsys.loop.polarity import AntiparallelStay, AntiparallelTurn, PolarityLaw
 from cellsys.loop.scheduled import ScheduledLoop
 from cellsys.model.sensor import StiffnessSensor
@@ -15,11 +16,13 @@ __all__ = [
     "AntiparallelTurn",
     "ClosedLoop",
     "Linearisation",
+    "LiteralLoop",
     "MPol",
     "PolarityLaw",
     "ScheduledLoop",
     "StiffnessSensor",
     "closed_loop",
+    "literal_loop",
     "loop_copies",
     "parametric_loop",
 ]

@@ -26,8 +26,10 @@ class MPol:
     ----------
     table : (3 n, 360)
         Column j is the input pattern for a heading of j degrees, node-major.
-    lookup : {"interpolate", "nearest"}
-        Periodic linear interpolation between columns (default), or the printed rounding.
+    lookup : {"interpolate", "nearest", "arctan"}
+        Periodic linear interpolation between columns (default), the column nearest to the signed
+        angle, or that of the printed angle arctan(|d_0 x d|/d_0.d) with d_0 = (1, 0, 0) [70],
+        which has no sign: headings below the axis get the columns of those above it.
     """
 
     table: np.ndarray
@@ -39,9 +41,9 @@ class MPol:
             raise DimensionError(f"M_pol must be (3 n, 360), got {table.shape}")
         if not np.all(np.isfinite(table)):
             raise DataError("M_pol holds NaN or inf")
-        if self.lookup not in ("interpolate", "nearest"):
+        if self.lookup not in ("interpolate", "nearest", "arctan"):
             raise ParameterError(
-                f"MPol.lookup must be 'interpolate' or 'nearest', got {self.lookup!r}"
+                f"MPol.lookup must be 'interpolate', 'nearest' or 'arctan', got {self.lookup!r}"
             )
         object.__setattr__(self, "table", table)
 
@@ -89,8 +91,9 @@ class MPol:
             raise DimensionError("p must be three finite numbers")
         if np.hypot(p[0], p[1]) <= 1e-12 * np.linalg.norm(p) or not np.any(p):
             return np.zeros(len(self.table))
-        degree = float(np.degrees(np.arctan2(p[1], p[0]))) % 360.0
-        if self.lookup == "nearest":
+        across = abs(p[1]) if self.lookup == "arctan" else p[1]
+        degree = float(np.degrees(np.arctan2(across, p[0]))) % 360.0
+        if self.lookup != "interpolate":
             return self.table[:, round(degree) % 360].copy()
         low = int(degree) % 360
         share = degree - int(degree)

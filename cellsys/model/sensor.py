@@ -9,7 +9,7 @@ is used [notes: theory, sensor].
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -114,6 +114,9 @@ def fit_sensor(
     test_latent: list[np.ndarray] | None = None,
     test_directions: list[np.ndarray] | None = None,
     ridges: tuple[float, ...] = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0),
+    *,
+    literal: bool = False,
+    maps: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> StiffnessSensor:
     """Ridge regression of d on [1; z], the penalty chosen by leaving out one run at a time.
 
@@ -127,7 +130,16 @@ def fit_sensor(
         Held-out runs for the reported error.
     ridges : tuple of float
         Penalties tried, relative to the number of samples.
+    literal : bool
+        As printed [84]: regressors [P_F z; P_c z], the matrix forces and the cell's centre, by
+        least squares (of least norm, for the 2 m regressors have rank m at most).
+    maps : (m, m) and (m, m), optional
+        P_F and P_c of the literal form, such as `P_F_phi(model)` and `P_c(model)`.
     """
+    if literal != (maps is not None):
+        raise ParameterError("literal=True and maps=(P_F, P_c) go together")
+    if maps is not None:
+        return _literal(latent, directions, test_latent, test_directions, maps)
     if not latent or len(latent) != len(directions):
         raise DataError("a sensor needs as many runs of latent samples as of directions")
     for i, (z, d) in enumerate(zip(latent, directions, strict=True)):
@@ -164,6 +176,25 @@ def fit_sensor(
         else float("nan"),
         constant_error=angle_error(np.tile(mean, (len(truth), 1)), truth),
     )
+
+
+def _literal(
+    latent: list[np.ndarray],
+    directions: list[np.ndarray],
+    test_latent: list[np.ndarray] | None,
+    test_directions: list[np.ndarray] | None,
+    maps: tuple[np.ndarray, np.ndarray],
+) -> StiffnessSensor:
+    """The sensor on [P_F z; P_c z], its map written back on z."""
+    both = np.vstack([real_array(part, "maps") for part in maps])
+    m = both.shape[1]
+    if both.shape != (2 * m, m) or not latent or any(np.shape(z)[-1] != m for z in latent):
+        raise DimensionError(f"maps must be two (m, m) for latent samples (T, m), got {both.shape}")
+    seen = [np.asarray(z) @ both.T for z in latent]
+    tests = None if test_latent is None else [np.asarray(z) @ both.T for z in test_latent]
+    found = fit_sensor(seen, directions, tests, test_directions, (0.0,))
+    K_d = np.column_stack([found.K_d[:, 0], found.S_d @ both])
+    return replace(found, K_d=K_d)
 
 
 def _predict(K_d: np.ndarray, z: np.ndarray) -> np.ndarray:
