@@ -123,6 +123,8 @@ from .population import (
     PatchPort,
     PoleSet,
     PortedCells,
+    PrintedInterface,
+    printed_interface,
     PortPassivity,
     Superposition,
     couple,

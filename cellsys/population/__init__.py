@@ -10,6 +10,7 @@ from cellsys.population.ported.load_ports import LoadPorts
 from cellsys.population.ported.ports import CellPort, PortPassivity
 from cellsys.population.printed.cells import CoupledCells
 from cellsys.population.printed.forms import Feedback, MappedSuperposition, Superposition
+from cellsys.population.printed.interface import PrintedInterface, printed_interface
 from cellsys.population.printed.maps import ForceMap, P_c, P_F_phi, P_phi, fit_P_map
 from cellsys.population.printed.split import FieldSplit
 from cellsys.population.symbolic import symbolic
@@ -34,8 +35,10 @@ __all__ = [
     "PoleSet",
     "PortPassivity",
     "PortedCells",
+    "PrintedInterface",
     "Superposition",
     "couple",
     "fit_P_map",
+    "printed_interface",
     "symbolic",
 ]
