@@ -46,10 +46,11 @@ def loop_diagram(
     *,
     cells: Sequence[str] = ("",),
     order: int,
+    more: Sequence[str] = (),
 ) -> InterconnectedSystem:
     """Plant, controllers, commands and sensors of K cells, closed; no inputs from outside.
 
-    Its states are those of the plant, then p; its outputs z, p and d.
+    Its states are those of the plant, then p; its outputs z, p, d and `more` of the plant's.
     """
     names = [name for name in plant.input_labels if name != ONE]
     parts = [
@@ -59,7 +60,7 @@ def loop_diagram(
         sensor_block(sense, order, cells),
     ]
     shown = [*latent_names(order, cells), *vector_names("p", cells), *vector_names("d", cells)]
-    return joined("loop", parts, shown)
+    return joined("loop", parts, [*shown, *more])
 
 
 class SteppedPlant(Protocol):

@@ -10,6 +10,7 @@ from cellsys.figures.diagram import block_diagram, shortened, wires
 from tests.loop.systems import NAMES, make
 from tests.population.systems import model as coupled_model
 from tests.population.test_equivariant_cells import model as equivariant_model
+from tests.population.test_integrators import ports
 
 TIGHT = {"rtol": 1e-7, "atol": 1e-9, "method": "DOP853"}
 METHOD = cs.DOP853(rtol=1e-8, atol=1e-10)
@@ -147,3 +148,16 @@ def test_the_figure_shows_every_connection():
         assert words in said
     each = [f"cell{k}_cos" for k in range(1, 51)]
     assert shortened(each) == "cell1..50_cos"
+
+
+@pytest.mark.parametrize("dt", [None, 10.0])
+def test_linear_cells_on_a_field(dt):
+    cells = ports(dt)
+    t = np.linspace(0.0, 20.0, 3)
+    options = {} if dt else {"solve_ivp_kwargs": TIGHT}
+    diagram = cells.interconnect()
+    found = ct.input_output_response(diagram, t, 0, cells.diagram_start, **options)
+    run = cells.simulate(t, None if dt else METHOD)
+    size = np.abs(run.x).max()
+    assert np.abs(found.states.T - run.x).max() < (1e-12 if dt else NEAR) * size
+    assert {"cell2_z[2]", "cell1_p_x", "cell2_d_y"} <= set(diagram.output_labels)

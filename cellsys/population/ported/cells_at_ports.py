@@ -36,5 +36,13 @@ class CellsAtPorts(Cells, Protocol):
     def whole(self) -> tuple[np.ndarray, np.ndarray]:
         """(M, G) of x' (or x+) = M x + G g."""
 
+    @property
+    def gathers(self) -> np.ndarray:
+        """E_k of every cell, (K, n_f, order)."""
+
+    @property
+    def given_loads(self) -> np.ndarray:
+        """L (n, order): loads on the field's coordinates in x' (or x+)."""
+
     def pole_set(self) -> PoleSet:
         """Poles of cells and field with multiplicities, 1/s."""

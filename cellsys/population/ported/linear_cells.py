@@ -14,6 +14,7 @@ from cellsys.contracts import Integrator
 from cellsys.drawable import Drawable
 from cellsys.errors import MemoryBudgetError, ParameterError
 from cellsys.loop import PolarityLaw
+from cellsys.population.headings import steering
 from cellsys.population.poleset import PoleSet, pole_set
 from cellsys.population.ported.footprint import (
     RestPassivity,
@@ -278,6 +279,30 @@ class PortedCells(Drawable):
             What the offsets of the cells become: a last input ``one``, constant 1, or nothing.
         """
         return linear_plant(self, points, offset)
+
+    def interconnect(self) -> control.InterconnectedSystem:
+        """Cells, field, controllers, commands and sensors as a diagram of python-control.
+
+        Its states are z, q and p, its outputs z, p and d of every cell and the field; nothing
+        comes from outside. Started from `diagram_start` its `input_output_response` is
+        `simulate`, step for step for cells with a step of their own.
+
+        Raises
+        ------
+        ParameterError
+            For cells without headings or sensor.
+        """
+        from cellsys.population.ported.ported_run import ported_diagram
+
+        self._afford("interconnect()")
+        return ported_diagram(self)
+
+    @property
+    def diagram_start(self) -> np.ndarray:
+        """State of `interconnect()` at the start: z and q, then p."""
+        from cellsys.population.ported.ported_run import initial, ported_loop
+
+        return initial(self, steering(ported_loop(self)), None, None, None)
 
     def simulate(
         self,

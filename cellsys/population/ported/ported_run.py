@@ -15,16 +15,20 @@ from cellsys.integrate.simulate import simulate
 from cellsys.integrate.splitting import Splitting
 from cellsys.integrate.step_runs import StepRun, refuse_integrator
 from cellsys.loop import ClosedLoop
+from cellsys.loop.blocks import loop_diagram
 from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.model import LatentModel
 from cellsys.population.flows import CellFlows, polarities, symbolic_cells
 from cellsys.population.headings import commands, loop_of, rates, sensed, steering, turn
 from cellsys.population.ported.cells_at_ports import CellsAtPorts
+from cellsys.population.ported.plant import linear_plant
+from cellsys.population.signals import cell_prefixes
 from cellsys.system import Block, Layout, OdeSystem, SymbolicForm
 from cellsys.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import casadi as ca
+    from control import InterconnectedSystem
 
 
 class PortFlow:
@@ -74,6 +78,20 @@ def ported_loop(cells: CellsAtPorts) -> ClosedLoop | None:
         A, B, b = (cell.A - np.eye(cell.order)) / cell.dt, cell.B / cell.dt, cell.offset / cell.dt
     model = LatentModel(A=A, B=B, offset=b, dt=cell.dt, input_names=cell.input_names)
     return loop_of(model, cells.controller, cell.sensor, cells.normalise)
+
+
+def ported_diagram(cells: CellsAtPorts) -> InterconnectedSystem:
+    """See `PortedCells.interconnect`."""
+    loop, each = steering(ported_loop(cells)), cell_prefixes(cells.n_cells)
+    return loop_diagram(
+        linear_plant(cells, None, "input"),
+        loop.controller.block(each, dt=cells.model.dt),
+        lambda z: sensed(loop, z @ loop.sensor.S_d.T),
+        lambda p: commands(loop, p),
+        cells=each,
+        order=cells.order,
+        more=[f"field_q[{i}]" for i in range(int(cells.coupling.field.order))],
+    )
 
 
 def run_ported(
