@@ -47,7 +47,8 @@ def inputs(scene: cs.Scene, model: cs.LatentModel, test: list[cs.Trajectory]) ->
     scale = np.ones(len(rows)) if model.scale is None else model.scale[rows]
     true, heads, amplitude = [], [], []
     for run in test:
-        true.append(np.asarray(run.u)[:, run.states.slice("cell1.position")] / scale @ model.V_x[rows])
+        pushed = np.asarray(run.u)[:, run.states.slice("cell1.position")]
+        true.append(pushed / scale @ model.V_x[rows])
         heads.append(np.asarray(run.p)[:-1, 0])
         drive = np.ones((len(run.t), 1)) if run.amplitude is None else np.asarray(run.amplitude)
         amplitude.append(drive[:-1, 0])
