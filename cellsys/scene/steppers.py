@@ -6,7 +6,7 @@
 
 `step` is the longest step; `tolerance` is the local error of RKC (relative, and in um), and what
 the other two may leave over of a rate. "auto" takes the cheapest setting of the scene's class
-[notes: steppers].
+[notes: measurements, steppers].
 """
 
 from __future__ import annotations
