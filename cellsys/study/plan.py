@@ -10,6 +10,7 @@ from cellsys.mechanics.crawler import Crawler
 from cellsys.observe.pairs import alone_scenes
 from cellsys.scene import Scene, build, training_scenes
 from cellsys.scene.memory import memory_need
+from cellsys.shown import Shown
 from cellsys.store.memory import size_text
 from cellsys.study.floors import floor_scenes
 
@@ -21,7 +22,7 @@ _SAMPLES = 8 * 300
 
 
 @dataclass(frozen=True, kw_only=True)
-class StudyPlan:
+class StudyPlan(Shown):
     """Full-order runs of a study and what they take; without what the cache already holds.
 
     Attributes
