@@ -28,6 +28,8 @@ def open_loop(shift: float = 0.0, kinetics: str = "clutch", duration: float = 15
     scene = cs.load_scene(SCENE)
     effects = {k: v for k, v in scene.effects.items() if k != "polarity"}
     effects["focal_adhesion"] = dataclasses.replace(effects["focal_adhesion"], kinetics=kinetics)
+    if kinetics == "switching":  # clusters carry no reaction of the lamellipodium
+        effects["lamellipodium"] = dataclasses.replace(effects["lamellipodium"], reaction="none")
     return dataclasses.replace(
         scene,
         duration=duration,

@@ -182,7 +182,8 @@ def kinetics_cost(
     Notes
     -----
     Compared are motions since the start (the shift itself is not counted), relative to their
-    norm. A share near 1 says that no single run of these kinetics is a prediction.
+    norm. A share near 1 says that no single run of these kinetics is a prediction. Clusters that
+    switch carry no reaction of a lamellipodium: with them it is a source of force.
     """
     if "focal_adhesion" not in scene.effects:
         raise ParameterError(f"scene {scene.name!r} has no focal_adhesion; add it to its effects")
@@ -191,7 +192,9 @@ def kinetics_cost(
         raise DataError(f"t must hold at least two samples, got {len(t)}")
     for kind in kinetics:
         effects = dict(scene.effects)
-        effects["focal_adhesion"] = _with_kinetics(effects["focal_adhesion"], kind)
+        effects["focal_adhesion"] = _with(effects["focal_adhesion"], "kinetics", kind)
+        if kind == "switching" and "lamellipodium" in effects:
+            effects["lamellipodium"] = _with(effects["lamellipodium"], "reaction", "none")
         base = dataclasses.replace(scene, effects=effects)
         first, *others = base.membranes
         place = (first.position[0] + SHIFT, first.position[1])
@@ -283,7 +286,8 @@ def _run_of(cells: Cells, t: np.ndarray, method: Integrator) -> Callable[[], np.
     return lambda: cells.simulate(t, method).x
 
 
-def _with_kinetics(adhesion: Effect, kind: str) -> Effect:
-    made: Callable[..., Effect] = type(adhesion)
-    fields = {f.name: getattr(adhesion, f.name) for f in dataclasses.fields(adhesion)}
-    return made(**{**fields, "kinetics": kind})
+def _with(effect: Effect, parameter: str, value: str) -> Effect:
+    """The effect with one parameter changed."""
+    made: Callable[..., Effect] = type(effect)
+    fields = {f.name: getattr(effect, f.name) for f in dataclasses.fields(effect)}
+    return made(**{**fields, parameter: value})

@@ -14,9 +14,10 @@ from cellsys.cell.worth import (
     representation_error,
 )
 from cellsys.model.card import Card, verdict
-from cellsys.model.network_sensor import StiffnessMap, fit_local_sensor, nodal_moments
+from cellsys.model.network_sensor import fit_local_sensor, nodal_moments
 from cellsys.model.poles import fastest_growth
 from cellsys.model.sensor import StiffnessSensor, fit_sensor
+from cellsys.model.stiffness_map import StiffnessMap
 from cellsys.samples.provenance import constant_commands, data_hash, repeated_runs, repeats
 from cellsys.samples.snapshots import Snapshots
 
@@ -50,10 +51,14 @@ def card_of(
     if sensor is not None:
         facts["sensor"] = {
             "inputs": getattr(sensor, "inputs", "latent state"),
-            "held out, deg": sensor.held_out_error,
-            "constant direction, deg": sensor.constant_error,
+            f"held out, {sensor.error_unit}": sensor.held_out_error,
+            f"constant direction, {sensor.error_unit}": sensor.constant_error,
         }
-        facts["sensor, inputs tried (deg, run left out)"] = dict(getattr(sensor, "tried", {}))
+        if sensor.noise:
+            facts["sensor"]["cue over the network's noise, |g|/g0"] = sensor.strength
+        facts[f"sensor, inputs tried ({sensor.error_unit}, run left out)"] = dict(
+            getattr(sensor, "tried", {})
+        )
     text = verdict(model.order, growth, training, held)
     return Card(
         order=model.order,
@@ -109,14 +114,23 @@ def sensor_of(
 
     latent, directions = samples(data, records)
     shown, told = samples(test, held_out) if test is not None and held_out else (None, None)
+    noise = float(data.geometry.get("sensing.noise", 0.0))
     if "matrix.stiffness" not in data.geometry:
-        return fit_sensor(latent, directions, shown, told)
-    known = StiffnessMap(data.geometry["matrix.rest"][:, :2], data.geometry["matrix.stiffness"])
+        return fit_sensor(latent, directions, shown, told, noise=noise)
+    at_rest = data.geometry["matrix.fibre_stiffness" if noise else "matrix.stiffness"]
+    known = StiffnessMap(data.geometry["matrix.rest"][:, :2], at_rest, contrasts=noise > 0.0)
     moments = moments_of(data, records, model.dt)
     block = model.dynamics.blocks[1].size
     first = model.dynamics.starts()[1] + np.arange(block)
     return fit_local_sensor(
-        latent, directions, known, shown, told, moments=moments, charge=(first, first + block)
+        latent,
+        directions,
+        known,
+        shown,
+        told,
+        moments=moments,
+        charge=(first, first + block),
+        noise=noise,
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.errors import ParameterError, SceneError
+from cellsys.laws.sensing import fibre_ends, nodal_mean
 from cellsys.mechanics.effects.fibre_bending import BendingElement, bend_forces
 from cellsys.mechanics.effects.matrix import MATRIX, FibreElement
 from cellsys.mechanics.effects.protocol import Configuration
@@ -123,6 +124,11 @@ class MatrixEnergy:
                 on[list(part.axes)] = 1.0
                 K = K + sp.kron(part.matrix(), sp.diags_array(on))
         return sp.csc_array(K)
+
+    def fibre_stiffness(self, u: np.ndarray) -> np.ndarray:
+        """Mean over the fibres at each node of k max(g', 1) (n,), pN/um, for a graded cue."""
+        fibres = self.disc.fibres
+        return nodal_mean(fibres, self._fibres.unbuckled(self._at(u)), fibre_ends(self.n, fibres))
 
     def nodal(self, u: np.ndarray) -> dict[str, np.ndarray]:
         """``virial`` and ``stiffness`` (n,) of the fibres at displacements u (n, 3)."""

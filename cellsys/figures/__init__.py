@@ -46,6 +46,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
             "pair_gaps",
             "trajectory",
         ],
+        "tractions": ["traction_field"],
         "response": [
             "bode",
             "error_system",

@@ -4,7 +4,8 @@
     k_off = k_off0 (1 + (|f|/((n + 0.02) F_b))^2) f = k_b S
     S'    = n (v_matrix - v_cell + v_m e_r) - k_off S
 
-Smooth kinetics of this project, for many bonds per node [notes: mechanics, clutch].
+A clutch that carries more than its own stretch, such as the reaction r of a protrusion, has
+f = k_b S + r. Smooth kinetics of this project, for many bonds per node [notes: mechanics, clutch].
 """
 
 from __future__ import annotations
@@ -25,3 +26,13 @@ def unbinding_rate(n: Values, load: Values, k_off0: float, f_b: float) -> Values
     """k_off, 1/s, for bond strength n and load |f| (pN); elementwise."""
     ratio = load / ((n + _FLOOR) * f_b)
     return k_off0 * (1.0 + ratio * ratio)
+
+
+def reinforced_rate(k_off0: float, stiffness: Values, alpha: float, k_half: float) -> Values:
+    """Unloaded unbinding of a clutch on a matrix of a local stiffness k; elementwise.
+
+    k_off0 (1 + alpha k_half/(k + k_half)): bonds live 1 + alpha times shorter where the matrix
+    gives way, and as long as `k_off0` says where it is stiff [notes: mechanics, clutch]. k and
+    k_half in one unit.
+    """
+    return k_off0 * (1.0 + alpha * k_half / (stiffness + k_half))

@@ -18,6 +18,26 @@ def smoothstep(value: np.ndarray, low: float, high: float) -> np.ndarray:
     return q * q * (3.0 - 2.0 * q)
 
 
+def node_force(
+    away_x: float,
+    away_y: float,
+    z: float,
+    head_x: float,
+    head_y: float,
+    height: float,
+    edge: float,
+    full: float,
+) -> float:
+    """Share (1 - z/h)_+ w(cos) of one node, for plain numbers: `protrusion` without its arrays.
+
+    away: offset from the centroid in the plane, um; head: unit heading.
+    """
+    distance = np.sqrt(away_x * away_x + away_y * away_y + 1e-12)
+    cosine = (away_x * head_x + away_y * head_y) / distance
+    q = min(max((cosine - edge) / (full - edge), 0.0), 1.0)
+    return q * q * (3.0 - 2.0 * q) * min(max(1.0 - z / height, 0.0), 1.0)
+
+
 def protrusion(
     x: np.ndarray,
     p: np.ndarray,

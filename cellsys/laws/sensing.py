@@ -2,6 +2,16 @@
 
     q = sum_j w_j s_j (x_j - c)/rho_j ,   S = sum_j w_j s_j ,   d = q/|q| if |q| > eps S else p
 
+That is the literal form: a direction, however little stands out. The graded cue has a strength,
+
+    s_j = mean over the fibres at j of k max(g', 1),     m = sum_j w_j s_j / sum_j w_j
+    g   = sum_j w_j (s_j - m) (x_j - c)/rho_j / sum_j w_j s_j ,
+    d   = (g/g0) x/(1 + x^2),   x = |g|/g0,   |d| = x^2/(1 + x^2) < 1 ,
+
+with the mean per fibre, so that the density of nodes drops out, and a fibre that the cell itself
+has buckled counted as an unbuckled one. g0 is of the size of what a homogeneous network shows
+[notes: mechanics, sensing].
+
 rho_j is the horizontal distance from the cell's centroid c. w_j falls smoothly from 1 to 0 over
 the last um of the range (and over 1 um at the inner radius): a hard edge is a switch.
 Stiffness and stress compared: [notes: measurements, sensor].
@@ -11,6 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cellsys.laws.arrays import Vector, operations
 from cellsys.laws.lamellipodium import smoothstep
 
 
@@ -28,6 +39,16 @@ def tensile_virial(n_nodes: int, fibres: np.ndarray, virial: np.ndarray) -> np.n
     return nodal_sum(n_nodes, fibres, np.maximum(virial, 0.0))
 
 
+def fibre_ends(n_nodes: int, fibres: np.ndarray) -> np.ndarray:
+    """Number of fibres at each node, at least 1: the mean of no fibre is 0."""
+    return np.maximum(np.bincount(fibres.ravel(), minlength=n_nodes), 1)
+
+
+def nodal_mean(fibres: np.ndarray, value: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Mean over the fibres at each node, `ends` of `fibre_ends`."""
+    return nodal_sum(len(ends), fibres, value) / ends
+
+
 def measure_moment(
     nodes: np.ndarray, measure: np.ndarray, center: np.ndarray, inner: float, reach: float
 ) -> tuple[np.ndarray, float]:
@@ -42,6 +63,62 @@ def measure_moment(
         window = window * smoothstep(rho, inner, inner + 1.0)
     weight = window * measure
     return (weight / rho) @ offset, float(np.abs(weight).sum())
+
+
+def contrast(
+    nodes: np.ndarray, measure: np.ndarray, center: np.ndarray, reach: float
+) -> np.ndarray:
+    """g (2,) of a nodal measure (n,) >= 0 about `center`: 0 where it is the same everywhere.
+
+    nodes (n, 2) or (n, 3) um. A slope of the measure of a share a per um gives a reach/3.
+    """
+    offset = nodes[:, :2] - center[:2]
+    rho = np.sqrt((offset**2).sum(axis=1) + 1e-12)
+    window = 1.0 - smoothstep(rho, reach - 1.0, reach)
+    total, whole = float(window.sum()), float(window @ measure)
+    if total == 0.0 or whole == 0.0:
+        return np.zeros(2)
+    return (window * (measure - whole / total) / rho) @ offset / whole
+
+
+def graded(g: np.ndarray, noise: float) -> np.ndarray:
+    """Cue d (..., 2) of a contrast g (..., 2): |d| = x^2/(1 + x^2), x = |g|/noise."""
+    x = np.asarray(g, dtype=float) / noise
+    size = np.hypot(x[..., :1], x[..., 1:])
+    # x |x|/(1 + |x|^2) without a square that overflows
+    return x / (size + np.divide(1.0, size, out=np.full_like(size, np.inf), where=size > 0))
+
+
+def cue(g: Vector, noise: float) -> Vector:
+    """`graded` of one contrast as a vector of any length, numpy or CasADi."""
+    ops = operations(g)
+    size = ops.sqrt(ops.dot(g, g) + 1e-300) / noise
+    return g / (noise * (size + 1.0 / size))
+
+
+def cue_rows(g: np.ndarray, noise: float) -> np.ndarray:
+    """`cue` for rows of contrasts: (..., n) -> (..., n)."""
+    size = np.sqrt(np.vecdot(g, g) + 1e-300)[..., None] / noise
+    return g / (noise * (size + 1.0 / size))
+
+
+def ungraded(d: np.ndarray, noise: float) -> np.ndarray:
+    """Contrast g (..., 2) whose cue is d (..., 2), |d| < 1: the inverse of `graded`."""
+    d = np.asarray(d, dtype=float)
+    size = np.hypot(d[..., :1], d[..., 1:])
+    slope = np.sqrt(size * (1.0 - size))
+    return noise * np.divide(d, slope, out=np.zeros_like(d), where=slope > 0)
+
+
+def cue_slope(g: np.ndarray, noise: float) -> np.ndarray:
+    """dd/dg (n, n) of `cue` at g (n,): zero at g = 0."""
+    x = np.asarray(g, dtype=float) / noise
+    size = float(np.linalg.norm(x))
+    if size == 0.0:
+        return np.zeros((len(x), len(x)))
+    along = np.outer(x, x) / size**2
+    radial, across = 2.0 * size / (1.0 + size**2) ** 2, size / (1.0 + size**2)
+    return (radial * along + across * (np.eye(len(x)) - along)) / noise
 
 
 def sensed_direction(

@@ -6,6 +6,7 @@ Linearised about (z*, p*) with T the tangent of p in the substrate plane, dp = T
 
     [[A, B_u T], [kappa T^T S_d, -kappa p*.d*]]             raw d
     [[A, B_u T], [kappa/|d*| T^T S_d, -kappa p*.d*/|d*|]]   normalised d
+    [[A, B_u T], [kappa T^T J S_d, -kappa p*.d*]]           graded d of a contrast g, J = dd/dg
 
 and broken at kappa, for negative feedback,
 
@@ -34,6 +35,7 @@ from cellsys.integrate.symbolic import CVODES
 from cellsys.kinds import shown
 from cellsys.laws.arrays import Vector, operations
 from cellsys.laws.polarity import heading_features
+from cellsys.laws.sensing import cue, cue_slope
 from cellsys.loop.blocks import loop_diagram
 from cellsys.loop.loop_system import ClosedLoopSystem, model_error, semilinear_of, sensed_rows
 from cellsys.loop.modal import set_apart_text, split_slow
@@ -127,7 +129,8 @@ class ClosedLoop:
     controller : PolarityLaw
     sensor : StiffnessSensor
     normalise : bool
-        Whether d is scaled to |d| = 1 (default, as in the full-order model).
+        Whether d is what the full-order model senses (default): scaled to |d| = 1, or the graded
+        cue of a sensor with a `noise`; else the sensor's raw value.
     z0, p0 : (m,), (3,)
         Start of `simulate`.
     """
@@ -159,6 +162,8 @@ class ClosedLoop:
         raw = self.sensor.K_d[:, 0] + self.sensor.S_d @ z
         if not self.normalise:
             return raw
+        if self.sensor.noise:
+            return cue(raw, self.sensor.noise)
         ops = operations(z)
         # A raw direction of zero stays zero and turns nothing.
         return raw / ops.sqrt(ops.dot(raw, raw) + 1e-300)
@@ -238,16 +243,20 @@ class ClosedLoop:
         tangent = np.array([-p[1], p[0], 0.0]) / np.hypot(p[0], p[1])
         B_heading = B @ self._features_slope(p)
         raw = self.sensor.raw(z)
-        size = float(np.linalg.norm(raw)) if self.normalise else 1.0
-        if size == 0.0:
-            raise DataError(
-                "the sensed direction is zero at this point: the loop has no slope there"
-            )
-        d = raw / size
-        # Turning of p follows the part of d across p; normalisation removes the part along d.
-        S = length * (tangent @ self.sensor.S_d) / size
-        if self.normalise:
-            S = S - length * float(tangent @ d) * (d @ self.sensor.S_d) / size
+        if self.normalise and self.sensor.noise:
+            d = cue(raw, self.sensor.noise)
+            S = length * (tangent @ cue_slope(raw, self.sensor.noise) @ self.sensor.S_d)
+        else:
+            size = float(np.linalg.norm(raw)) if self.normalise else 1.0
+            if size == 0.0:
+                raise DataError(
+                    "the sensed direction is zero at this point: the loop has no slope there"
+                )
+            d = raw / size
+            # Turning of p follows the part of d across p; normalisation removes that along d.
+            S = length * (tangent @ self.sensor.S_d) / size
+            if self.normalise:
+                S = S - length * float(tangent @ d) * (d @ self.sensor.S_d) / size
         strength = float(p @ d)
         kappa = self.controller.kappa
         rate = np.concatenate(

@@ -10,6 +10,7 @@ import numpy as np
 from cellsys.contracts import LinearModel, ReducedModel
 from cellsys.integrate.semilinear import Semilinear
 from cellsys.laws.polarity import heading_rows, rate_rows
+from cellsys.laws.sensing import cue_rows
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.system import OdeSystem, SymbolicForm
@@ -79,6 +80,8 @@ def sensed_rows(loop: PolarLoop, z: np.ndarray) -> np.ndarray:
 def _scaled(loop: PolarLoop, raw: np.ndarray) -> np.ndarray:
     if not loop.normalise:
         return raw
+    if loop.sensor.noise:
+        return cue_rows(raw, loop.sensor.noise)
     return raw / np.sqrt(np.vecdot(raw, raw) + 1e-300)[..., None]
 
 

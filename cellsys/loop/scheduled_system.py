@@ -87,8 +87,9 @@ class ScheduledSystem:
         middle = law.step(p, before, 0.5 * dt)
         ahead = self._plant(z, middle, t, amplitude)
         mean = 0.5 * (before + self.sensor.direction(ahead))
-        size = float(np.linalg.norm(mean))
-        mean = mean / size if size > 0 else before
+        if not self.sensor.noise:
+            size = float(np.linalg.norm(mean))
+            mean = mean / size if size > 0 else before
         return self._plant(z, law.step(p, mean, 0.5 * dt), t, amplitude), law.step(p, mean, dt)
 
     def _plant(self, z: np.ndarray, p: np.ndarray, t: float, amplitude: float) -> np.ndarray:

@@ -61,14 +61,31 @@ def clutch_loads(x, u, n, stretch, index, weight, count, k_b, k_ad, cell, matrix
 
 
 @compiled
+def own_loads(stretch, k_b, load):
+    """|k_b S| of every clutch."""
+    for i in range(load.size):
+        load[i] = k_b * np.sqrt(stretch[i, 0] ** 2 + stretch[i, 1] ** 2)
+
+
+@compiled
+def total_loads(stretch, carried, k_b, load):
+    """|k_b S + r| of every clutch, r (nodes, 2 or 3) what it carries besides, in the plane."""
+    for i in range(load.size):
+        f0, f1 = k_b * stretch[i, 0] + carried[i, 0], k_b * stretch[i, 1] + carried[i, 1]
+        load[i] = np.sqrt(f0 * f0 + f1 * f1)
+
+
+@compiled
 def clutch_rates(
-    x, n, stretch, reach_rim, slip, k_b, k_on, height, width, k_off0, f_b, v_m, n_rate, s_rate
+    x, n, stretch, reach_rim, slip, load, k_on, height, width, k_off0, f_b, v_m, n_rate, s_rate
 ):
-    """Right-hand sides of n and S; slip (nodes, 2) = v_matrix - v_cell, um/s."""
+    """Right-hand sides of n and S; slip (nodes, 2) = v_matrix - v_cell, um/s.
+
+    load, k_off0 (nodes,): load, pN, and unloaded unbinding, 1/s, of every clutch.
+    """
     c0, c1 = x[:, 0].mean(), x[:, 1].mean()
     for i in range(x.shape[0]):
-        load = k_b * np.sqrt(stretch[i, 0] ** 2 + stretch[i, 1] ** 2)
-        off = _unbinding(n[i], load, k_off0, f_b)
+        off = _unbinding(n[i], load[i], k_off0[i], f_b)
         d0, d1 = x[i, 0] - c0, x[i, 1] - c1
         r = np.sqrt(d0 * d0 + d1 * d1 + 1e-12)
         on = reach_rim[i] * _binding(x[i, 2], k_on, height, width)
@@ -79,13 +96,12 @@ def clutch_rates(
 
 @compiled
 def clutch_advance(
-    x, n, stretch, reach_rim, slip, dt, k_b, k_on, height, width, k_off0, f_b, v_m, n_new, s_new
+    x, n, stretch, reach_rim, slip, dt, load, k_on, height, width, k_off0, f_b, v_m, n_new, s_new
 ):
     """n and S after dt: exact exponentials at the start's rates, S driven by the mean n."""
     c0, c1 = x[:, 0].mean(), x[:, 1].mean()
     for i in range(x.shape[0]):
-        load = k_b * np.sqrt(stretch[i, 0] ** 2 + stretch[i, 1] ** 2)
-        off = _unbinding(n[i], load, k_off0, f_b)
+        off = _unbinding(n[i], load[i], k_off0[i], f_b)
         d0, d1 = x[i, 0] - c0, x[i, 1] - c1
         r = np.sqrt(d0 * d0 + d1 * d1 + 1e-12)
         on = reach_rim[i] * _binding(x[i, 2], k_on, height, width)
@@ -120,3 +136,20 @@ def gather(values, index, weight, count, out):
             j, w = index[i, m], weight[i, m]
             out[i, 0] += w * values[j, 0]
             out[i, 1] += w * values[j, 1]
+
+
+@compiled
+def gather_scalar(values, index, weight, count, out):
+    """out[i] = sum_j w_ij values[j], values (nodes,)."""
+    for i in range(out.size):
+        out[i] = 0.0
+        for m in range(count[i]):
+            out[i] += weight[i, m] * values[index[i, m]]
+
+
+@compiled
+def put_weight(lift, index, weight, count, matrix):
+    """matrix[k, z] -= sum_i w_ik lift_i: what lifts the nodes of a cell presses on the matrix."""
+    for i in range(lift.size):
+        for m in range(count[i]):
+            matrix[index[i, m], 2] -= weight[i, m] * lift[i]

@@ -30,6 +30,7 @@ from cellsys.mechanics.effects.protocol import (
 )
 from cellsys.mechanics.geometry.disc import Disc
 from cellsys.mechanics.junctions import Place, junction_graph, place_of, product
+from cellsys.mechanics.rest import rested
 from cellsys.mechanics.tangent import combine
 from cellsys.overdamped import MajorantBlock, OverdampedSystem, RankOne
 from cellsys.system import Block, Event, Layout
@@ -89,6 +90,9 @@ def build_spreading(
     holding = [e for e in elements if e.holds]
     arrays = [held(array, holding) for array in arrays]
     attach("scene", effects, whole)
+    for element in elements:
+        element.connect(elements)
+    arrays = rested(arrays, elements)
     return SpreadingSystem(cells, matrix, tuple(elements), tuple(arrays))
 
 
@@ -100,7 +104,7 @@ def node_arrays(
     for cell in cells:
         at, name = cell.body.membrane.position, cell.body.name
         taken = {r for effect in cell.effects.values() for r in effect.replaces}
-        c = np.full(at.shape, drag.cell + (0.0 if "drag.cortex" in taken else drag.cortex))
+        c = np.full(at.shape, drag.medium + (0.0 if "drag.cortex" in taken else drag.cortex))
         nodes.append(JunctionArray(name, Block(f"{name}.position", at.shape, "um"), at, c))
     if matrix is not None:
         shape = matrix.position.shape
@@ -299,18 +303,22 @@ class SpreadingSystem(OverdampedSystem):
     def geometry(self) -> dict[str, np.ndarray]:
         """``cellK.triangles`` (m, 3), corners of the membrane's triangles, and of a matrix
         ``matrix.rest`` (N, 3) um, ``matrix.surface``, the nodes that adhesions reach, and
-        ``matrix.stiffness`` (N,) pN/um, the sum over the fibres at each node at rest.
+        ``matrix.stiffness`` (N,) pN/um, the sum over the fibres at each node at rest. A graded cue
+        adds ``matrix.fibre_stiffness`` (N,), their mean, and ``sensing.noise``, its g0.
         """
         bodies = [cell.body for cell in self.cells]
         membranes = {f"{body.name}.triangles": body.membrane.triangles for body in bodies}
         if self.matrix is None:
             return membranes
         disc = self.matrix
-        return membranes | {
+        out = membranes | {
             "matrix.rest": disc.position,
             "matrix.surface": disc.surface,
             "matrix.stiffness": nodal_sum(len(disc.position), disc.fibres, disc.stiffness),
         }
+        for element in self.elements:
+            out |= element.describe()
+        return out
 
     def stop_points(self) -> tuple[float, ...]:
         return tuple(sorted({t for e in self.elements for t in e.stop_points()}))

@@ -9,6 +9,9 @@ fibres and buckles others; what that adds to the moment is read out of z, learne
 stiffness (or, with a = 0, the nodal virial) that runs store. A moment is a vector: for an
 equivariant cell only states of charge 1 can make one, with the same real weights along x and y.
 Which inputs are used, the squares among them, is decided by leaving out one run at a time.
+
+Of runs with a graded cue, g ~ K_d [1; z] + K_s g_0(c) + K_q [x^2; x y; y^2] with the contrast
+g_0(c) at rest in place of a direction: a buckled fibre does not count there as a soft one.
 """
 
 from __future__ import annotations
@@ -23,10 +26,17 @@ from cellsys.arguments import needs
 from cellsys.errors import DataError, DimensionError
 from cellsys.kinds import FILLED, Filled
 from cellsys.laws.sensing import measure_moment
-from cellsys.model.sensor import StiffnessSensor, angle_error, ridge_maps, ridge_weights
+from cellsys.model.sensor import (
+    StiffnessSensor,
+    angle_error,
+    contrasts,
+    mean_strength,
+    ridge_maps,
+    ridge_weights,
+    vector_error,
+)
+from cellsys.model.stiffness_map import INNER, REACH, StiffnessMap, unit_rows
 
-REACH = 14.0  # um, sensing range of the full-order model
-INNER = 4.0  # um, inner radius of the shell in which stress is read
 RIDGES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
 # Inputs by name: columns of z, s(c), which stored moment t(z) is that of, squares of the place.
 CHOICES: dict[str, tuple[str, bool, str, bool]] = {
@@ -44,54 +54,6 @@ CHOICES: dict[str, tuple[str, bool, str, bool]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class StiffnessMap:
-    """s(c) from nodal stiffness at rest.
-
-    Parameters
-    ----------
-    nodes : (N, 2)
-        um.
-    stiffness : (N,)
-        Sum over the fibres at each node, pN/um.
-    reach : float
-        um.
-    """
-
-    nodes: np.ndarray
-    stiffness: np.ndarray
-    reach: float = REACH
-
-    def __post_init__(self) -> None:
-        nodes, stiffness = (np.asarray(v, dtype=float) for v in (self.nodes, self.stiffness))
-        if nodes.ndim != 2 or nodes.shape[1] != 2 or stiffness.shape != (len(nodes),):
-            raise DimensionError(
-                f"a stiffness map needs nodes (N, 2) and stiffness (N,), got {nodes.shape} and "
-                f"{stiffness.shape}"
-            )
-        if not (np.all(np.isfinite(nodes)) and np.all(np.isfinite(stiffness))):
-            raise DataError("nodes or stiffness of a stiffness map hold NaN or inf")
-        object.__setattr__(self, "nodes", nodes)
-        object.__setattr__(self, "stiffness", stiffness)
-
-    def moment(self, place: np.ndarray) -> np.ndarray:
-        """q_0 (..., 2), pN/um; zero where nothing stands out."""
-        place = np.asarray(place, dtype=float)
-        if place.ndim > 1:
-            return np.array([self.moment(c) for c in place])
-        q, total = measure_moment(self.nodes, self.stiffness, place, 0.0, self.reach)
-        return q if float(np.hypot(*q)) > 1e-12 * total else np.zeros(2)
-
-    def at(self, place: np.ndarray) -> np.ndarray:
-        """Unit direction s (..., 2); zero where nothing stands out."""
-        return _unit(self.moment(place))
-
-    def slope(self, place: np.ndarray, h: float = 1e-3) -> np.ndarray:
-        """dq_0/dc (2, 2), pN/um^2, by central differences."""
-        place = np.asarray(place, dtype=float)
-        ends = [(self.moment(place + e), self.moment(place - e)) for e in h * np.eye(2)]
-        return np.column_stack([(a - b) / (2 * h) for a, b in ends])
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LocalSensor(StiffnessSensor):
     """`StiffnessSensor` with what is known of the network at the cell's place.
@@ -113,7 +75,7 @@ class LocalSensor(StiffnessSensor):
     K_q : (3, 3)
         Weights of x^2, x y and y^2.
     tried : mapping of str to float
-        Mean angle error, deg, of every choice of inputs on the runs left out.
+        Error of every choice of inputs on the runs left out, as `training_error`.
     """
 
     K_s: Filled[np.ndarray] = FILLED
@@ -153,21 +115,26 @@ class LocalSensor(StiffnessSensor):
         if self.K_s.any():
             d = d + self.map.at(z[..., -2:]) @ self.K_s.T
         if self.K_t.any():
-            d = d + _unit(self._moment(z)) @ self.K_t.T
+            d = d + unit_rows(self._moment(z)) @ self.K_t.T
         if self.K_q.any():
             d = d + _squares(z[..., -2:]) @ self.K_q.T
         return d
 
     def on(self, nodes: np.ndarray, stiffness: np.ndarray) -> LocalSensor:
-        """The same law on another network: nodes (N, 2 or 3) um, stiffness (N,) pN/um at rest."""
-        return replace(self, map=StiffnessMap(nodes[:, :2], stiffness, self.map.reach))
+        """The same law on another network: nodes (N, 2 or 3) um, stiffness (N,) pN/um at rest.
+
+        The stiffness is the sum over the fibres at each node, of a graded cue their mean.
+        """
+        known = StiffnessMap(nodes[:, :2], stiffness, self.map.reach, self.map.contrasts)
+        return replace(self, map=known)
 
     def frozen(self, z: np.ndarray) -> StiffnessSensor:
         """The linear sensor with the same value and slope at z (m,)."""
         S = self.S_d.copy()
         at_rest = self.map.slope(z[-2:]) if self.K_s.any() or self.a else np.zeros((2, 2))
         if self.K_s.any():
-            S[:, -2:] += self.K_s @ _turning(self.map.moment(z[-2:])) @ at_rest
+            turning = np.eye(2) if self.map.contrasts else _turning(self.map.moment(z[-2:]))
+            S[:, -2:] += self.K_s @ turning @ at_rest
         if self.K_t.any():
             moved = self.M[:, 1:].copy()
             moved[:, -2:] += self.a * at_rest
@@ -190,6 +157,7 @@ class LocalSensor(StiffnessSensor):
             "nodes": self.map.nodes,
             "stiffness": self.map.stiffness,
             "reach": np.array(self.map.reach),
+            "contrasts": np.array(self.map.contrasts),
             "inputs": np.array(self.inputs),
             "tried": np.array(list(self.tried.values())),
             "tried_names": np.array(list(self.tried), dtype=np.str_),
@@ -202,16 +170,11 @@ def sensor_from(arrays: Mapping[str, np.ndarray]) -> StiffnessSensor:
     if "K_s" not in known:
         return StiffnessSensor(**known)
     parts = [known.pop(k) for k in ("nodes", "stiffness", "reach")]
+    graded = bool(known.pop("contrasts", False))  # files of 0.2.0 hold directions alone
     known["inputs"], known["a"] = str(known["inputs"]), float(known["a"])
     names, tried = known.pop("tried_names"), known.pop("tried")
     known["tried"] = {str(k): float(v) for k, v in zip(names, tried, strict=True)}
-    return LocalSensor(**known, map=StiffnessMap(parts[0], parts[1], float(parts[2])))
-
-
-def _unit(q: np.ndarray) -> np.ndarray:
-    """Directions (..., 2); zero stays zero."""
-    size = np.hypot(q[..., :1], q[..., 1:])
-    return np.divide(q, size, out=np.zeros_like(q), where=size > 0)
+    return LocalSensor(**known, map=StiffnessMap(parts[0], parts[1], float(parts[2]), graded))
 
 
 def _turning(q: np.ndarray) -> np.ndarray:
@@ -234,6 +197,11 @@ class _Table:
     moments: Mapping[str, Sequence[np.ndarray]]
     at_rest: Sequence[np.ndarray]
     charge: tuple[np.ndarray, np.ndarray] | None
+    noise: float
+
+    def error(self, predicted: np.ndarray, true: np.ndarray) -> float:
+        """Of directions in deg, of contrasts their rms."""
+        return vector_error(predicted, true) if self.noise else angle_error(predicted, true)
 
     def moment_map(self, kind: str, runs: Sequence[int], ridge: float) -> tuple[float, np.ndarray]:
         """a and M (2, 1 + m) from the moments measured in the runs."""
@@ -261,10 +229,11 @@ class _Table:
         columns, with_map, _, squared = CHOICES[choice]
         z = self.latent[i]
         parts = [{"none": z[:, :0], "place": z[:, -2:], "all": z}[columns]]
-        parts += [_unit(self.at_rest[i])] if with_map else []
+        at_rest = self.at_rest[i]
+        parts += [at_rest if self.noise else unit_rows(at_rest)] if with_map else []
         if known is not None:
             a, M = known
-            parts += [_unit(a * self.at_rest[i] + M[:, 0] + z @ M[:, 1:].T)]
+            parts += [unit_rows(a * self.at_rest[i] + M[:, 0] + z @ M[:, 1:].T)]
         parts += [_squares(z[:, -2:])] if squared else []
         return np.hstack(parts)
 
@@ -277,6 +246,7 @@ def fit_local_sensor(
     test_directions: Sequence[np.ndarray] | None = None,
     moments: Mapping[str, Sequence[np.ndarray]] | None = None,
     charge: tuple[np.ndarray, np.ndarray] | None = None,
+    noise: float = 0.0,
 ) -> LocalSensor:
     """Ridge regression on the inputs and with the penalty that predict left-out runs best.
 
@@ -293,16 +263,32 @@ def fit_local_sensor(
     charge : two index arrays, optional
         Latent states that turn like a vector: their x parts and, in the same order, y parts.
         Moments are then read from these alone.
+    noise : float
+        g0 of graded cues; 0: the directions have length 1. The map must then hold contrasts, and
+        the moments of strained fibres are no inputs.
     """
     if not latent or len(latent) != len(directions):
         raise DataError("a sensor needs as many runs of latent samples as of directions")
-    moments = {} if moments is None else moments
+    moments = {} if moments is None or noise else moments
+    if bool(noise) != known.contrasts:
+        raise DataError(
+            "a graded cue is learned beside contrasts at rest, a direction beside directions: "
+            f"noise = {noise:g} and contrasts = {known.contrasts} do not go together"
+        )
+    directions = contrasts(directions, noise)
+    if test_directions is not None:
+        test_directions = contrasts(test_directions, noise)
     for name, each in moments.items():
         if [np.shape(q) for q in each] != [(len(z), 2) for z in latent]:
             raise DimensionError(f"moments of {name} must be (T_i, 2), a row per latent sample")
     at_rest = [known.moment(z[:, -2:]) for z in latent]
     table = _Table(
-        latent=latent, directions=directions, moments=moments, at_rest=at_rest, charge=charge
+        latent=latent,
+        directions=directions,
+        moments=moments,
+        at_rest=at_rest,
+        charge=charge,
+        noise=noise,
     )
     everyone = range(len(latent))
     choices = [c for c, parts in CHOICES.items() if not parts[2] or parts[2] in moments]
@@ -319,12 +305,12 @@ def fit_local_sensor(
                 tried = ridge_maps(X, given, tuple(RIDGES[r] for r in group))
                 own = table.design(i, choice, M)
                 for r, K in zip(group, tried, strict=True):
-                    total[choice][r] += angle_error(K[:, 0] + own @ K[:, 1:].T, directions[i])
+                    total[choice][r] += table.error(K[:, 0] + own @ K[:, 1:].T, directions[i])
     name = min(choices, key=lambda c: total[c].min())
     sensor = _chosen(table, known, name, RIDGES[int(np.argmin(total[name]))])
     left_out = {c: float(total[c].min()) / len(latent) for c in choices}
-    sensor = replace(sensor, tried=left_out)
-    return _measured(sensor, latent, directions, test_latent, test_directions)
+    sensor = replace(sensor, tried=left_out, noise=noise, strength=mean_strength(directions, noise))
+    return _measured(sensor, table, test_latent, test_directions)
 
 
 def _chosen(table: _Table, known: StiffnessMap, name: str, ridge: float) -> LocalSensor:
@@ -349,26 +335,25 @@ def _chosen(table: _Table, known: StiffnessMap, name: str, ridge: float) -> Loca
 
 def _measured(
     sensor: LocalSensor,
-    latent: Sequence[np.ndarray],
-    directions: Sequence[np.ndarray],
+    table: _Table,
     test_latent: Sequence[np.ndarray] | None,
     test_directions: Sequence[np.ndarray] | None,
 ) -> LocalSensor:
     """The sensor with its errors on training and held-out runs and the constant direction's."""
-    held_out = None
+    held_out, latent, directions = None, table.latent, table.directions
     if test_latent is not None and test_directions is not None:
         held_out = (test_latent, test_directions)
     truth = np.concatenate((held_out or (latent, directions))[1])
     mean = np.concatenate(directions).mean(axis=0)
 
     def error(z: Sequence[np.ndarray], d: Sequence[np.ndarray]) -> float:
-        return angle_error(np.concatenate([sensor.raw(part) for part in z]), np.concatenate(d))
+        return table.error(np.concatenate([sensor.raw(part) for part in z]), np.concatenate(d))
 
     return replace(
         sensor,
         training_error=error(latent, directions),
         held_out_error=error(*held_out) if held_out else float("nan"),
-        constant_error=angle_error(np.tile(mean, (len(truth), 1)), truth),
+        constant_error=table.error(np.tile(mean, (len(truth), 1)), truth),
     )
 
 

@@ -1,6 +1,10 @@
-"""The sensor: the sensed direction d by ridge regression on the latent state.
+"""The sensor: the sensed cue by ridge regression on the latent state.
 
-    d ~ K_d [1; z]        |d| = 1 after normalisation        [thesis eq. 84]
+    d ~ K_d [1; z]        |d| = 1 after normalisation                     [thesis eq. 84]
+    g ~ K_d [1; z]        d = (g/g0) x/(1 + x^2),  x = |g|/g0             graded cue
+
+Of runs with a graded cue (`cellsys.laws.sensing`) the contrast g is learned, not the direction
+g/|g|, which a network without contrast fills with noise.
 
 The thesis's regressors [P_F z; P_c z] are linear in z and rank-deficient together, so z itself
 is used [notes: theory, sensor].
@@ -17,11 +21,14 @@ import scipy.linalg as sla
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.laws.sensing import cue_rows, ungraded
 from cellsys.model.sensor_block import sensor_block
 from cellsys.units import real_array
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
+
+_ERRORS = ("training_error", "held_out_error", "constant_error")
 
 
 @checked
@@ -36,8 +43,12 @@ class StiffnessSensor:
     ridge : float
         Penalty on standardised regressors, chosen by leaving out one run at a time.
     training_error, held_out_error, constant_error : float
-        Mean angle error in deg: on training runs, on held-out runs (NaN when there were none),
-        and of the best constant direction on the same runs.
+        On training runs, on held-out runs (NaN when there were none), and of the best constant
+        on the same runs: mean angle error in deg, of a graded cue the rms error of g.
+    noise : float
+        g0 of a graded cue: K_d [1; z] is then a contrast g. 0: it is a direction.
+    strength : float
+        Mean |g|/g0 of the training runs: how far the cue stands out of the network's noise.
     """
 
     K_d: np.ndarray
@@ -46,6 +57,8 @@ class StiffnessSensor:
     training_error: float = float("nan")
     held_out_error: float = float("nan")
     constant_error: float = float("nan")
+    noise: float = 0.0
+    strength: float = float("nan")
 
     def __post_init__(self) -> None:
         K_d = real_array(self.K_d, "K_d").copy()
@@ -56,8 +69,15 @@ class StiffnessSensor:
         if np.abs(K_d).max() > 1e150:
             raise DataError("K_d holds numbers beyond 1e150: their squares are no doubles")
         object.__setattr__(self, "K_d", K_d)
-        for name in ("ridge", "training_error", "held_out_error", "constant_error"):
+        for name in (*_ERRORS, "ridge", "noise", "strength"):
             object.__setattr__(self, name, float(getattr(self, name)))
+        if not (np.isfinite(self.noise) and self.noise >= 0.0):
+            raise ParameterError(f"noise must be finite and >= 0, got {self.noise!r}")
+
+    @property
+    def error_unit(self) -> str:
+        """Of the errors: "deg" of a direction, "of g" of a graded cue."""
+        return "of g" if self.noise else "deg"
 
     @property
     def S_d(self) -> np.ndarray:
@@ -69,8 +89,10 @@ class StiffnessSensor:
         return self.K_d[:, 0] + np.asarray(z) @ self.S_d.T
 
     def direction(self, z: np.ndarray) -> np.ndarray:
-        """Unit direction; a raw value of zero stays zero (the cell then does not turn)."""
+        """Unit direction, or graded cue; a raw value of zero stays zero (nothing then turns)."""
         d = self.raw(z)
+        if self.noise:
+            return cue_rows(d, self.noise)
         norm = np.linalg.norm(d, axis=-1, keepdims=True)
         return np.divide(d, norm, out=np.zeros_like(d), where=norm > 0)
 
@@ -95,6 +117,8 @@ class StiffnessSensor:
             "training_error": np.array(self.training_error),
             "held_out_error": np.array(self.held_out_error),
             "constant_error": np.array(self.constant_error),
+            "noise": np.array(self.noise),
+            "strength": np.array(self.strength),
         }
 
 
@@ -107,6 +131,25 @@ def angle_error(predicted: np.ndarray, true: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean())
 
 
+def vector_error(predicted: np.ndarray, true: np.ndarray) -> float:
+    """Root of the mean squared distance between rows, in their unit."""
+    return float(np.sqrt(np.mean(((predicted - true) ** 2).sum(axis=1))))
+
+
+def contrasts(directions: Sequence[np.ndarray], noise: float) -> list[np.ndarray]:
+    """What is learned of recorded cues, lists of (T_i, 3): g of graded ones, else d itself."""
+    if not noise:
+        return list(directions)
+    return [np.column_stack([ungraded(d[:, :2], noise), 0.0 * d[:, 2]]) for d in directions]
+
+
+def mean_strength(targets: Sequence[np.ndarray], noise: float) -> float:
+    """Mean |g|/g0; NaN of directions."""
+    if not noise:
+        return float("nan")
+    return float(np.linalg.norm(np.concatenate(targets), axis=1).mean()) / noise
+
+
 @checked
 def fit_sensor(
     latent: list[np.ndarray],
@@ -117,6 +160,7 @@ def fit_sensor(
     *,
     literal: bool = False,
     maps: tuple[np.ndarray, np.ndarray] | None = None,
+    noise: float = 0.0,
 ) -> StiffnessSensor:
     """Ridge regression of d on [1; z], the penalty chosen by leaving out one run at a time.
 
@@ -125,7 +169,7 @@ def fit_sensor(
     latent : list of (T_i, m)
         Latent samples of each run.
     directions : list of (T_i, 3)
-        Sensed unit directions at the same samples.
+        Sensed cues d at the same samples.
     test_latent, test_directions : optional
         Held-out runs for the reported error.
     ridges : tuple of float
@@ -135,10 +179,14 @@ def fit_sensor(
         least squares (of least norm, for the 2 m regressors have rank m at most).
     maps : (m, m) and (m, m), optional
         P_F and P_c of the literal form, such as `P_F_phi(model)` and `P_c(model)`.
+    noise : float
+        g0 of graded cues; 0: the directions have length 1.
     """
     if literal != (maps is not None):
         raise ParameterError("literal=True and maps=(P_F, P_c) go together")
     if maps is not None:
+        if noise:
+            raise ParameterError("the literal sensor reads directions of length 1; leave noise out")
         return _literal(latent, directions, test_latent, test_directions, maps)
     if not latent or len(latent) != len(directions):
         raise DataError("a sensor needs as many runs of latent samples as of directions")
@@ -153,11 +201,15 @@ def fit_sensor(
 
     if not ridges:
         raise ParameterError("ridges must hold at least one number")
+    error = vector_error if noise else angle_error
+    directions = contrasts(directions, noise)
+    if test_directions:
+        test_directions = contrasts(test_directions, noise)
     total = np.zeros(len(ridges))
     for i in range(len(latent)):
         others = [k for k in range(len(latent)) if k != i] or [i]
         tried = ridge_maps([latent[k] for k in others], [directions[k] for k in others], ridges)
-        total += [angle_error(_predict(K, latent[i]), directions[i]) for K in tried]
+        total += [error(_predict(K, latent[i]), directions[i]) for K in tried]
     best = ridges[int(np.argmin(total))]
     K_d = ridge_maps(latent, directions, (best,))[0]
     mean = np.concatenate(directions).mean(axis=0)
@@ -168,13 +220,13 @@ def fit_sensor(
     return StiffnessSensor(
         K_d=K_d,
         ridge=best,
-        training_error=angle_error(
-            _predict(K_d, np.concatenate(latent)), np.concatenate(directions)
-        ),
-        held_out_error=angle_error(_predict(K_d, np.concatenate(shown_z)), truth)
+        training_error=error(_predict(K_d, np.concatenate(latent)), np.concatenate(directions)),
+        held_out_error=error(_predict(K_d, np.concatenate(shown_z)), truth)
         if test_latent
         else float("nan"),
-        constant_error=angle_error(np.tile(mean, (len(truth), 1)), truth),
+        constant_error=error(np.tile(mean, (len(truth), 1)), truth),
+        noise=noise,
+        strength=mean_strength(directions, noise),
     )
 
 

@@ -21,13 +21,25 @@ from cellsys.observe.spreading import (
     node_speed,
     summary_of_run,
 )
+from cellsys.observe.tractions import (
+    TractionMap,
+    Tractions,
+    contact_area,
+    pulling,
+    traction_read_outs,
+    tractions,
+    volume_course,
+)
 
 __all__ = [
     "Attenuation",
     "PairReadout",
+    "TractionMap",
+    "Tractions",
     "alone_scenes",
     "attenuation_length",
     "centre_height",
+    "contact_area",
     "contact_radius",
     "contour_gap",
     "crawl_distance",
@@ -40,9 +52,13 @@ __all__ = [
     "observe_pair",
     "pair_of",
     "pair_regions",
+    "pulling",
     "read_out_errors",
     "read_outs",
     "speed_against_spacing",
     "summary_of_run",
+    "traction_read_outs",
+    "tractions",
     "until_contact",
+    "volume_course",
 ]

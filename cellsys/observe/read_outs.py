@@ -11,6 +11,7 @@ from cellsys.contracts import ReadOut
 from cellsys.errors import ParameterError
 from cellsys.observe.headings import heading_change_deg
 from cellsys.observe.spreading import centre_height, contact_radius, crawl_distance
+from cellsys.observe.tractions import pulling
 from cellsys.trajectory import Trajectory, cell_names
 from cellsys.units import real_number
 
@@ -33,7 +34,9 @@ def read_outs(run: Trajectory, more: Sequence[ReadOut] = ()) -> dict[str, float]
         ``crawl_um`` (`crawl_distance`) of cells with a membrane; ``crawl_um`` of crawlers on a
         chain is that of the middle between lead and trail. ``matrix_displacement_max_um`` over all
         nodes and samples, ``matrix_displacement_rms_end_um`` over the nodes at the last one, and
-        ``heading_change_deg`` (how far cells turned, either way).
+        ``heading_change_deg`` (how far cells turned, either way). Besides, what
+        `traction_read_outs` tells of cells: tractions over the last sampling interval where the
+        run holds auxiliaries, contact area, volume, strength of the cue.
 
     Raises
     ------
@@ -47,6 +50,7 @@ def read_outs(run: Trajectory, more: Sequence[ReadOut] = ()) -> dict[str, float]
         out["height_end_um"] = float(np.mean([np.ptp(x[-1, :, 2]) for x in paths]))
         out["centre_height_end_um"] = float(np.mean([centre_height(x[-1]) for x in paths]))
         out["crawl_um"] = float(np.mean([crawl_distance(x) for x in paths]))
+        out |= _means([pulling(run, name) for name in cell_names(run.states)])
     leads = [b.name.rpartition(".")[0] for b in run.states if b.name.endswith(".lead")]
     if leads:
         ends = [0.5 * (run.block(f"{n}.lead") + run.block(f"{n}.trail")) for n in leads]
@@ -65,6 +69,12 @@ def read_outs(run: Trajectory, more: Sequence[ReadOut] = ()) -> dict[str, float]
                 raise ParameterError(f"read-out {name!r} is there already; give yours another name")
             out[name] = real_number(value, f"read-out {name!r}")
     return out
+
+
+def _means(rows: list[dict[str, float]]) -> dict[str, float]:
+    """Mean over the cells of what all of them have."""
+    names = [n for n in rows[0] if all(n in row for row in rows)]
+    return {n: float(np.mean([row[n] for row in rows])) for n in names}
 
 
 @checked

@@ -6,6 +6,7 @@ import numpy as np
 
 from cellsys.errors import ParameterError
 from cellsys.laws.polarity import exact_steps, rate
+from cellsys.laws.sensing import cue_rows
 from cellsys.loop import AntiparallelStay, ClosedLoop, PolarityLaw, closed_loop
 from cellsys.model import LatentModel, StiffnessSensor
 
@@ -75,6 +76,8 @@ def sensed(loop: ClosedLoop, raw: np.ndarray) -> np.ndarray:
     d = loop.sensor.K_d[:, 0] + raw
     if not loop.normalise:
         return d
+    if loop.sensor.noise:
+        return cue_rows(d, loop.sensor.noise)
     return d / np.sqrt(np.einsum("ki,ki->k", d, d) + 1e-300)[:, None]
 
 

@@ -248,7 +248,8 @@ def sensor_of(
 
     aside = encoded[1]
     held = (None, None) if test is None or aside is None else samples(test, aside.runs)
-    return fit_sensor(*samples(data, encoded[0].runs), *held)
+    noise = float(data.geometry.get("sensing.noise", 0.0))
+    return fit_sensor(*samples(data, encoded[0].runs), *held, noise=noise)
 
 
 def _order_for(

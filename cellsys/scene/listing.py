@@ -24,12 +24,17 @@ def effect_table() -> list[dict[str, str]]:
             meta = item.metadata
             if "unit" not in meta:
                 continue
+            default, unit = f"{item.default:.4g}", meta["unit"]
+            if meta["choices"]:
+                default, unit = str(item.default), "|".join(meta["choices"])
+            if meta["flag"]:
+                default, unit = str(item.default).lower(), "true|false"
             rows.append(
                 {
                     "effect": name,
                     "parameter": item.name,
-                    "default": str(item.default) if meta["choices"] else f"{item.default:.4g}",
-                    "unit": "|".join(meta["choices"]) if meta["choices"] else meta["unit"],
+                    "default": default,
+                    "unit": unit,
                     "needs": needs,
                     "source": meta["source"],
                     "meaning": meta["about"],
@@ -49,13 +54,18 @@ def setting_text(row: Mapping[str, str]) -> tuple[str, str]:
 
 
 def effect_list() -> list[dict[str, str]]:
-    """One row per effect: what it is, where it acts, what it needs and what it excludes."""
+    """One row per effect: what it is, where it acts, what it needs and excludes.
+
+    ``outside work`` says who takes up the forces that the effect, with its default parameters,
+    leaves unbalanced; empty where it gives one array what it takes from another.
+    """
     return [
         {
             "effect": name,
             "acts on": effect.acts_on,
             "needs": ", ".join(need.replace("|", " or ") for need in effect.needs),
             "excludes": ", ".join(effect.excludes),
+            "outside work": effect().outside_work,
             "what it is": (effect.__doc__ or "").strip().partition("\n")[0],
         }
         for name, effect in EFFECTS.items()
@@ -64,6 +74,8 @@ def effect_list() -> list[dict[str, str]]:
 
 def scene_effects(path: str | Path, seconds: float = 20.0) -> list[dict[str, float | str]]:
     """One row per effect of a scene: states, auxiliaries, columns of W_eta, share of the time.
+
+    ``outside work``: who takes up the forces that the effect leaves unbalanced, "" for nobody.
 
     The shares come from `seconds` s of the scene, timed after as many to warm up; the last row
     is what no effect accounts for, the solve above all. On a chain: `scene_table`.
@@ -93,8 +105,15 @@ def scene_effects(path: str | Path, seconds: float = 20.0) -> list[dict[str, flo
         if array.name.count("."):  # node arrays that an effect brings along
             rows[array.name.rpartition(".")[2]]["states"] += array.block.size
     shares = time_shares(cells, scene.step, seconds, scene.seed)
+    outside = {e.name: e.outside_work for c in scene.membranes for e in c.effects.values()}
+    outside |= {e.name: e.outside_work for e in scene.effects.values()}
     return [
-        {"effect": name, **rows.get(name, empty), "share of time": shares.get(name, 0.0)}
+        {
+            "effect": name,
+            **rows.get(name, empty),
+            "outside work": outside.get(name, ""),
+            "share of time": shares.get(name, 0.0),
+        }
         for name in [*scene.effects, *(n for n in shares if n not in scene.effects)]
     ]
 

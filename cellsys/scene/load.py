@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,12 @@ def scene_from_plain(
             fields["history"] = history(fields["history"])
         if "patches" in fields:
             fields["patches"] = tuple(effect(p) for p in fields["patches"])
-        return registry[given["effect"]](**fields)
+        kind = registry[given["effect"]]
+        for item in dataclasses.fields(kind):
+            once = item.metadata.get("once")
+            if once in fields:
+                fields[item.name] = fields.pop(once)
+        return kind(**fields)
 
     matrix = table["matrix"]
     if matrix is not None:

@@ -10,6 +10,7 @@ from types import GenericAlias
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from pydantic import (
+    AliasChoices,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -77,6 +78,7 @@ Sample = Annotated[
 ]
 # bool is an int to Python; a count must not be one.
 Count = Annotated[int, Field(strict=True)]
+Flag = Annotated[bool, Field(strict=True)]
 
 
 def _history(unit: str, name: str) -> type[BaseModel]:
@@ -119,9 +121,13 @@ def _parameter_table(effect: type) -> type[BaseModel]:
             continue  # further patches, added below
         meta = item.metadata
         kind = Literal[meta["choices"]] if meta["choices"] else amount(meta["unit"])
+        if meta["flag"]:
+            kind = Flag
+        told = f"{meta['about']} [{meta['unit']}] ({meta['source']})"
+        names = AliasChoices(item.name, meta["once"]) if meta["once"] else None
         fields[item.name] = (
             kind | None,
-            Field(default=None, description=f"{meta['about']} [{meta['unit']}] ({meta['source']})"),
+            Field(default=None, description=told, validation_alias=names),
         )
     table = create_model(f"{effect.__name__}Table", __base__=TomlTable, **fields)
     table.__doc__ = (effect.__doc__ or effect.__name__).strip().split("\n")[0]

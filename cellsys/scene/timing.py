@@ -26,7 +26,7 @@ _P = ParamSpec("_P")
 _T = TypeVar("_T")
 _METHODS = (
     "efforts", "force", "flows", "rates", "advance", "stiffness", "low_rank", "between_steps",
-    "observe", "slopes",
+    "observe", "slopes", "unbuckled",
 )  # fmt: skip
 _SOLVE, _REST = "(solve)", "(stepping)"
 

@@ -141,10 +141,17 @@ def short_number(value: float | None, digits: int = 3) -> str:
     return "inf" if np.isinf(value) else f"{value:.{digits}g}"
 
 
+# Endings of read-outs and their units, longer ones first.
+_UNITS = (
+    ("_nm_s", "nm/s"), ("_um_per_s", "um/s"), ("_pN_um", "pN um"), ("_um2", "um^2"),
+    ("_um3", "um^3"), ("_um", "um"), ("_s", "s"), ("_deg", "deg"), ("_pN", "pN"), ("_Pa", "Pa"),
+    ("_fJ", "fJ"), ("_percent", "%"),
+)  # fmt: skip
+
+
 def read_out_name(key: str) -> str:
     """Name of a read-out for a reader: ``crawl_um`` is "crawl, um"."""
-    for ending, unit in (("_nm_s", "nm/s"), ("_um_per_s", "um/s"), ("_um", "um"), ("_s", "s"),
-                         ("_deg", "deg")):  # fmt: skip
+    for ending, unit in _UNITS:
         if key.endswith(ending):
             return f"{key.removesuffix(ending).replace('_', ' ')}, {unit}"
     return key.replace("_", " ")

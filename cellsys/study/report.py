@@ -23,6 +23,7 @@ from cellsys.figures import (
 )
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.model.card import card_of
+from cellsys.observe.tractions import traction_ports, tractions
 from cellsys.response.certainty import side
 from cellsys.store import write_text
 from cellsys.study.fields import draw_displacement
@@ -51,6 +52,11 @@ def write_figures(result: StudyResult, system: SpreadingSystem, folder: Path) ->
     drawn["displacement_field"] = draw_displacement(
         run, result.scene.matrix, folder / "displacement_field.png"
     )
+
+    if traction_ports(run, "cell1"):  # a cell that is bound
+        figure, axes = sheet((6.4, 5.2))
+        tractions(run).plot(axes)
+        drawn["traction_field"] = save_png(figure, folder / "traction_field.png")
 
     small = result.model
     large = max((m for n, m in result.models if n == "PCR"), default=small.order)
@@ -113,6 +119,9 @@ def write_report(result: StudyResult, figures: dict[str, Path], path: Path) -> N
             [(read_out_name(k), v) for k, v in texts(result.magnitudes).items()],
         ),
         image(figures["displacement_field"], "displacement field of the matrix"),
+        image(figures["traction_field"], "tractions of the cell over the last interval")
+        if "traction_field" in figures
+        else "",
         "<p class='note'>Share of the rates that the stepping leaves over: "
         + ", ".join(
             f"{html.escape(k)} {100 * v:.2g} %" for k, v in told.step_residual_share.items()
@@ -166,13 +175,14 @@ def write_report(result: StudyResult, figures: dict[str, Path], path: Path) -> N
 
 def _loop_part(result: StudyResult, figures: dict[str, Path], verdict: str) -> list[str]:
     loop, m = result.told.loop, result.margins
-    error, sensor = loop.heading_error_deg, loop.sensor_error_deg
+    error, sensor = loop.heading_error_deg, loop.sensor_error_deg or loop.sensor_error_of_g
     if m is None or error is None or sensor is None:
         return [f"<p>No loop: {html.escape(str(loop.why_not))}.</p>"]
     at = [
         short(w)
         for w in (m.gain_margin_frequency, m.phase_margin_frequency, m.delay_margin_frequency)
     ]
+    unit = "deg" if loop.sensor_error_deg is not None else "of the contrast g"
     stable = "stable" if m.closed_loop_stable else "not stable: read the margins as distances"
     return [
         image(figures["bode"], "Bode plot of the return ratio"),
@@ -188,8 +198,8 @@ def _loop_part(result: StudyResult, figures: dict[str, Path], verdict: str) -> l
         f"{verdict}</p>",
         image(figures["polarity"], "polarity against time"),
         f"<p class='note'>Heading error of the reduced loop: {error.rms:.3g} deg rms, "
-        f"{error.end:.3g} deg at the end. Sensor: {short(sensor.held_out)} deg held out, "
-        f"{short(sensor.constant_direction)} deg for the best constant direction.</p>",
+        f"{error.end:.3g} deg at the end. Sensor: {short(sensor.held_out)} {unit} held out, "
+        f"{short(sensor.constant_direction)} {unit} for the best constant.</p>",
     ]
 
 

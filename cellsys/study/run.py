@@ -19,7 +19,7 @@ from cellsys.mechanics.effects.steering import Polarity
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.model import LatentModel
 from cellsys.model.card import card_of
-from cellsys.observe import heading_error_deg, summary_of_run
+from cellsys.observe import heading_error_deg, pulling, summary_of_run
 from cellsys.reduction import PCR, LeastSquares
 from cellsys.reduction.basis import check_order
 from cellsys.response import Margins, margins, stability
@@ -190,10 +190,11 @@ def study(
 
     system = spreading(build(scene))
     rest = None if system.matrix is None else system.matrix.position
-    magnitudes = summary_of_run(main, rest) | {
+    errors = {
         "position_error_um": main.error_of("cell1.position"),
         "matrix_error_um": main.error_of("matrix.displacement"),
     }
+    magnitudes = summary_of_run(main, rest) | pulling(main, "cell1") | errors
     whole = plant.realization()
     plant_report = stability(whole, certainty=plant.certainty(discrete=whole.dt > 0))
     trust = f"PCR: {card_of(plant).verdict}"
@@ -317,7 +318,14 @@ def _loop_summary(
         gap = heading_error_deg(reduced.polarities[:, 0], np.asarray(main.polarities)[:, 0])
         heading = HeadingError(float(np.sqrt(np.mean(gap**2))), float(gap[-1]))
         text = str(linear)
-    return LoopSummary(why, sensed, heading, text)
+    graded = sensor is not None and sensor.noise > 0.0
+    return LoopSummary(
+        why,
+        sensor_error_deg=None if graded else sensed,
+        sensor_error_of_g=sensed if graded else None,
+        heading_error_deg=heading,
+        linearisation=text,
+    )
 
 
 def _write(result: StudyResult, system: SpreadingSystem, data: Snapshots, say: Progress) -> None:

@@ -62,7 +62,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class SensorError:
-    """Error of a sensor's direction, deg."""
+    """Error of a sensor: of its direction, deg, or of the contrast that a graded cue stands for."""
 
     training: float
     held_out: float
@@ -82,7 +82,9 @@ class LoopSummary:
     """The polarity loop on the plant, or why there is none."""
 
     why_not: str | None
+    _: dataclasses.KW_ONLY
     sensor_error_deg: SensorError | None = dataclasses.field(default=None, metadata=_LEFT_OUT)
+    sensor_error_of_g: SensorError | None = dataclasses.field(default=None, metadata=_LEFT_OUT)
     heading_error_deg: HeadingError | None = dataclasses.field(default=None, metadata=_LEFT_OUT)
     linearisation: str | None = dataclasses.field(default=None, metadata=_LEFT_OUT)
 

@@ -1,4 +1,4 @@
-"""The shipped scene: what a logged sample means, accuracy of its step, resuming, magnitudes."""
+"""The literal scene: what a logged sample means, accuracy of its step, resuming, magnitudes."""
 
 import dataclasses
 from pathlib import Path
@@ -15,7 +15,7 @@ from cellsys.scene import Scene, build, load_scene
 from cellsys.store import RunWriter
 from tests.mechanics.scenes import small, table
 
-SCENE = Path(__file__).resolve().parents[2] / "examples" / "spreading.toml"
+SCENE = Path(__file__).resolve().parents[2] / "examples" / "spreading_literal.toml"
 STEP = 0.5
 
 

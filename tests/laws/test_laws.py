@@ -18,7 +18,19 @@ from cellsys.laws.clutch import binding_rate, unbinding_rate
 from cellsys.laws.fibre import NEVER, axial, axial_energy
 from cellsys.laws.lamellipodium import protrusion, smoothstep
 from cellsys.laws.polarity import exact_step, heading_features, rate
-from cellsys.laws.sensing import stiffest_direction, stress_direction
+from cellsys.laws.sensing import (
+    contrast,
+    cue,
+    cue_rows,
+    cue_slope,
+    fibre_ends,
+    graded,
+    measure_moment,
+    nodal_mean,
+    stiffest_direction,
+    stress_direction,
+    ungraded,
+)
 from tests.naive import euler_polarity
 
 angles = st.floats(-3.1, 3.1)
@@ -297,3 +309,56 @@ def test_nothing_stands_out_keeps_the_heading():
     for reach in (5.0, 14.0):
         d = stress_direction(nodes, fibres, -same, np.zeros(3), p, 4.0, reach, 1e-3)
         assert np.array_equal(d, p)
+
+
+def network(seed=0):
+    rng = np.random.default_rng(seed)
+    nodes = rng.uniform(-30, 30, (4000, 3))
+    nodes[:, 2] = 0.0
+    pairs = rng.integers(0, 4000, (12000, 2))
+    return nodes, pairs[pairs[:, 0] != pairs[:, 1]], rng
+
+
+def test_contrast_of_a_slope_is_a_third_of_the_reach():
+    """A measure 1 + a x on a fine grid: g = a reach/3, less the soft edge of the window."""
+    x = np.arange(-20.0, 20.1, 0.25)
+    grid = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    g = contrast(grid, 1.0 + 0.02 * grid[:, 0], np.zeros(2), 14.0)
+    assert g[0] == pytest.approx(0.02 * 13.5 / 3, rel=0.01)
+    assert abs(g[1]) < 1e-12
+    assert np.abs(contrast(grid, np.full(len(grid), 3.0), np.zeros(2), 14.0)).max() < 1e-12
+
+
+def test_contrast_does_not_see_the_density_of_nodes():
+    """Twice as many nodes on one side: the sum sees it, the mean over fibres and nodes does not."""
+    nodes, fibres, rng = network()
+    dense = np.concatenate([nodes, nodes[nodes[:, 0] > 0] + [0.01, 0.0, 0.0]])
+    g = contrast(dense, np.ones(len(dense)), np.zeros(3), 14.0)
+    q, total = measure_moment(dense, np.ones(len(dense)), np.zeros(3), 0.0, 14.0)
+    assert np.hypot(*q) / total > 0.1
+    assert np.hypot(*g) < 1e-12
+    value = rng.uniform(1, 2, len(fibres))
+    mean = nodal_mean(fibres, value, fibre_ends(4000, fibres))
+    at = int(fibres[0, 0])
+    assert mean[at] == pytest.approx(
+        np.mean([v for f, v in zip(fibres, value, strict=True) for end in f if end == at])
+    )
+
+
+@pytest.mark.parametrize("size", [1e-6, 0.01, 0.05, 0.3, 1e3])
+def test_graded_cue_and_its_inverse(size):
+    g = size * np.array([0.6, -0.8])
+    d, x = graded(g, 0.05), size / 0.05
+    assert np.hypot(*d) == pytest.approx(x**2 / (1 + x**2), rel=1e-12)
+    assert np.hypot(*d) < 1.0 or size == 1e3
+    assert d[0] * g[1] == pytest.approx(d[1] * g[0], rel=1e-12)
+    assert np.allclose(cue(g, 0.05), d, rtol=1e-12)
+    assert np.allclose(cue_rows(g[None], 0.05)[0], d, rtol=1e-12)
+    if size < 1.0:
+        assert np.allclose(ungraded(d, 0.05), g, rtol=1e-6)
+    h = 1e-7 * size
+    slope = np.column_stack([(graded(g + h * e, 0.05) - graded(g - h * e, 0.05)) / (2 * h)
+                             for e in np.eye(2)])  # fmt: skip
+    assert np.allclose(cue_slope(g, 0.05), slope, rtol=1e-5, atol=1e-7 * np.abs(slope).max())
+    assert not graded(np.zeros(2), 0.05).any()
+    assert not cue_slope(np.zeros(2), 0.05).any()

@@ -9,7 +9,7 @@ from tests.reduction.systems import stable_matrix
 NAMES = ("cell1.cos", "cell1.sin", "cell1.cos2", "cell1.sin2")
 
 
-def make(seed=0, m=5, kappa=1 / 60, normalise=True, gain=1.0, planar=True, names=NAMES):
+def make(seed=0, m=5, kappa=1 / 60, normalise=True, gain=1.0, planar=True, names=NAMES, noise=0.0):
     rng = np.random.default_rng(seed)
     A = stable_matrix(m, rng, slowest=0.02, fastest=0.2)
     B, b = 0.1 * rng.standard_normal((m, len(names))), 0.02 * rng.standard_normal(m)
@@ -21,7 +21,7 @@ def make(seed=0, m=5, kappa=1 / 60, normalise=True, gain=1.0, planar=True, names
     return closed_loop(
         model,
         controller=PolarityLaw(kappa=kappa),
-        sensor=StiffnessSensor(K_d=K_d),
+        sensor=StiffnessSensor(K_d=K_d, noise=noise),
         normalise=normalise,
         z0=rng.standard_normal(m),
     )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
+import cellsys as cs
 from cellsys.errors import CellsysError, DataError, DimensionError, ParameterError
 from cellsys.integrate import CVODES
 from cellsys.loop import PolarityLaw, closed_loop
@@ -47,6 +48,30 @@ def test_linearisation_is_the_derivative(normalise, seed):
     assert np.abs(point.A - finite_difference(loop, z, p)).max() < 1e-8
     assert np.array_equal(point.z, z)
     assert "frozen time" in str(point)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_graded_loop_carries_the_strength_of_its_cue(seed):
+    """Value, slope, return ratio, compiled and symbolic forms of d = (g/g0) x/(1 + x^2)."""
+    loop = make(seed, kappa=0.3, noise=2.0)
+    rng = np.random.default_rng(seed)
+    z, p = rng.standard_normal(loop.order), heading(rng.uniform(-3, 3))
+    g = loop.sensor.raw(z)
+    x = np.linalg.norm(g) / 2.0
+    assert np.allclose(loop.sensed(z), g / np.linalg.norm(g) * x**2 / (1 + x**2), rtol=1e-12)
+    assert np.allclose(loop.sensor.direction(z), loop.sensed(z), rtol=1e-12)
+    assert np.linalg.norm(loop.sensed(z)) < 1.0
+    point = loop.linearize((z, p))
+    assert np.abs(point.A - finite_difference(loop, z, p)).max() < 1e-8
+    assert point.strength == pytest.approx(float(p @ loop.sensed(z)))
+    L = loop.open_loop(point)
+    closed = np.sort_complex(sla.eigvals(L.A - L.B @ L.C))
+    assert np.abs(closed - np.sort_complex(point.poles)).max() < 1e-10
+    t = np.linspace(0.0, 60.0, 13)
+    by_flow = loop.simulate(t, cs.Exponential(rtol=1e-9, atol=1e-9))
+    by_casadi = loop.simulate(t, CVODES(rtol=1e-10, atol=1e-10))
+    assert np.abs(by_flow.x - by_casadi.x).max() < 1e-6
+    assert np.all(np.linalg.norm(by_flow.d[:, 0], axis=1) < 1.0)
 
 
 @pytest.mark.parametrize("normalise", [True, False])

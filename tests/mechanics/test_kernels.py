@@ -10,7 +10,8 @@ from cellsys.errors import DataError
 from cellsys.laws.fibre import axial, axial_energy
 from cellsys.mechanics import clutch_kernels as clutch_loops
 from cellsys.mechanics.cholesky import SparseCholesky
-from cellsys.mechanics.effects.clutch import SurfaceBins, rim_factor
+from cellsys.mechanics.effects.clutch import rim_factor
+from cellsys.mechanics.effects.footing import SurfaceBins
 from cellsys.mechanics.effects.membrane import area_forces, line_forces
 from cellsys.mechanics.effects.switching import bind_nearest, cluster_loads
 from cellsys.mechanics.fibre_kernels import fibre_energy, fibre_forces, fibre_slopes
@@ -174,8 +175,16 @@ def test_clutch_loads_and_gather(bonds):
     assert np.allclose(out, ((W @ (u_end - u) - (x_end - x)) / 0.5)[:, :2], **CLOSE)
 
 
-NUMBERS = {"k_b": 2000.0, "k_on": 0.1, "height": 0.9, "width": 0.2, "k_off0": 0.025,
-           "f_b": 600.0, "v_m": 0.004}  # fmt: skip
+# k_on, height, width; then, after k_off0 of every clutch, F_b and v_m.
+NUMBERS = (0.1, 0.9, 0.2), (600.0, 0.004)
+
+
+def numbers(stretch):
+    """Arguments of the clutch's loops from the load on: by its own loop, beside the oracle's."""
+    load = np.empty(len(stretch))
+    clutch_loops.own_loads(stretch, 2000.0, load)
+    assert np.allclose(load, 2000.0 * np.hypot(*stretch.T), **CLOSE)
+    return load, *NUMBERS[0], np.full(len(stretch), 0.025), *NUMBERS[1]
 
 
 def clutch_oracle(x, n, stretch, rim, slip):
@@ -194,7 +203,7 @@ def test_clutch_rates(bonds):
     slip = 0.01 * np.random.default_rng(3).standard_normal((189, 2))
     on, off, drive = clutch_oracle(x, n, stretch, rim, slip)
     n_rate, s_rate = np.empty(189), np.empty((189, 2))
-    clutch_loops.clutch_rates(x, n, stretch, rim, slip, *NUMBERS.values(), n_rate, s_rate)
+    clutch_loops.clutch_rates(x, n, stretch, rim, slip, *numbers(stretch), n_rate, s_rate)
     assert np.allclose(n_rate, on * (1 - n) - off * n, **CLOSE)
     assert np.allclose(s_rate, drive - off[:, None] * stretch, **CLOSE)
 
@@ -206,7 +215,7 @@ def test_clutch_advance_is_the_exact_solution_at_frozen_rates(bonds):
     on, off, drive = clutch_oracle(x, n, stretch, rim, slip)
     for dt in (1e-6, 0.5, 100.0):
         n_new, s_new = np.empty(189), np.empty((189, 2))
-        arguments = (x, n, stretch, rim, slip, dt, *NUMBERS.values(), n_new, s_new)
+        arguments = (x, n, stretch, rim, slip, dt, *numbers(stretch), n_new, s_new)
         clutch_loops.clutch_advance(*arguments)
         rest = on / (on + off)
         assert np.allclose(n_new, rest + (n - rest) * np.exp(-(on + off) * dt), **CLOSE)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import cellsys as cs
+from cellsys.laws.sensing import graded
 from cellsys.model.network_sensor import (
     LocalSensor,
     StiffnessMap,
@@ -184,3 +185,33 @@ def test_bad_maps_are_refused():
         StiffnessMap(np.zeros((3, 3)), np.zeros(3))
     with pytest.raises(cs.DataError, match="NaN"):
         StiffnessMap(np.zeros((3, 2)), np.array([1.0, np.nan, 1.0]))
+
+
+def test_a_graded_cue_reads_the_contrast_at_rest():
+    """Held out less than half of the best constant's error; slope, files, other networks."""
+    plain = network()
+    known = StiffnessMap(plain.nodes, plain.stiffness, contrasts=True)
+    assert np.linalg.norm(known.at(np.zeros(2))) < np.linalg.norm(known.at(np.array([3.0, 1.0])))
+    z, g = runs(known)
+    test_z, test_g = runs(known, n=3, seed=9)
+    graded_d, graded_test = (
+        [np.column_stack([graded(v[:, :2], 0.05), v[:, 2]]) for v in rows] for rows in (g, test_g)
+    )
+    sensor = fit_local_sensor(z, graded_d, known, test_z, graded_test, noise=0.05)
+    assert "local stiffness" in sensor.inputs
+    assert sensor.held_out_error < 0.5 * sensor.constant_error
+    assert np.allclose(sensor.direction(test_z[0]), graded_test[0], atol=0.05)
+    at = test_z[0][3]
+    flat = sensor.frozen(at)
+    assert flat.noise == 0.05
+    assert np.allclose(flat.raw(at), sensor.raw(at), rtol=1e-9)
+    h = 1e-4 * np.eye(len(at))
+    slope = np.column_stack([(sensor.raw(at + e) - sensor.raw(at - e)) / 2e-4 for e in h])
+    assert np.allclose(flat.S_d, slope, atol=1e-5)
+    again = sensor_from(sensor.arrays())
+    assert np.array_equal(again.raw(at), sensor.raw(at))
+    assert again.map.contrasts
+    even = sensor.on(known.nodes, np.ones(len(known.nodes)))
+    assert np.linalg.norm(even.direction(at)) < 0.1
+    with pytest.raises(cs.DataError, match="contrasts"):
+        fit_local_sensor(z, graded_d, plain, noise=0.05)

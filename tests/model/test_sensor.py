@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from cellsys.errors import DataError, DimensionError
+from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.laws.sensing import graded
 from cellsys.model import StiffnessSensor, fit_sensor
 from cellsys.model.sensor import angle_error
 
@@ -142,3 +143,28 @@ def test_fit_refuses():
         fit_sensor(broken, direction)
     with pytest.raises(DimensionError):
         fit_sensor(latent, [d[:-1] for d in direction])
+
+
+def test_a_graded_cue_is_learned_as_a_contrast():
+    """g linear in z is recovered from d = (g/g0) x/(1 + x^2), also where g is next to nothing."""
+    K_d = 0.05 * truth()
+    K_d[2] = 0.0
+    latent, g = runs(K_d)
+    d = [np.column_stack([graded(row[:, :2], 0.05), row[:, 2]]) for row in g]
+    sensor = fit_sensor(latent, d, latent[:2], d[:2], ridges=(0.0,), noise=0.05)
+    assert np.abs(sensor.K_d - K_d).max() < 1e-9
+    assert np.allclose(sensor.direction(latent[0]), d[0], atol=1e-7)
+    assert sensor.error_unit == "of g"
+    assert sensor.held_out_error < 1e-6 * sensor.constant_error
+    sizes = np.linalg.norm(np.concatenate(g), axis=1)
+    assert sensor.strength == pytest.approx(sizes.mean() / 0.05, rel=1e-6)
+    # The naive sensor of directions calls all cues equally strong.
+    naive = fit_sensor(latent, d, ridges=(0.0,))
+    assert np.allclose(np.linalg.norm(naive.direction(latent[0]), axis=1), 1.0)
+    again = StiffnessSensor(**sensor.arrays())
+    assert again.noise == 0.05
+    assert again.strength == sensor.strength
+    old = {k: v for k, v in sensor.arrays().items() if k not in ("noise", "strength")}
+    assert StiffnessSensor(**old).error_unit == "deg"  # as files of 0.2.0 hold it
+    with pytest.raises(ParameterError, match="noise"):
+        StiffnessSensor(K_d, noise=-1.0)

@@ -161,6 +161,10 @@ def test_read_outs_have_the_errors_of_the_places_they_are_made_of():
                 assert abs(moved[name] - told[name]) <= error
 
 
+# What a name ends with: its unit, or the quantity without one.
+UNITS = ("_um", "_um2", "_um3", "_deg", "_pN", "_pN_um", "_percent", "_fJ", "_Pa", "cue_strength")
+
+
 def test_the_matrix_is_read_over_the_run_and_at_the_end():
     u = np.zeros((5, 4, 3))
     u[2, 1] = [0.3, 0.0, 0.4]
@@ -171,6 +175,6 @@ def test_the_matrix_is_read_over_the_run_and_at_the_end():
     assert found["matrix_displacement_rms_end_um"] == pytest.approx(np.sqrt(3) * 1e-6)
     assert summary_of_run(run_of(x, u), np.eye(4, 3))["matrix_displacement_max_um"] == 0.5
     for name in found:
-        assert name.endswith(("_um", "_deg"))
+        assert name.endswith(UNITS)
         # every value at one sample says which; the others are over the run
         assert ("_end_" in name) != name.startswith(("crawl", "matrix_displacement_max"))

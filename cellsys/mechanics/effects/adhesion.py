@@ -55,11 +55,24 @@ class FocalAdhesion(ClutchLaw, ClusterLaw):
         about="binding",
     )
     off_rate: float = parameter(
-        "1/40 1/s",
+        "1/80 1/s",
         "1/s",
         above=0.0,
-        source="working set [notes: mechanics, clutch]",
+        source="chosen here [notes: mechanics, clutch]",
         about="unloaded unbinding",
+    )
+    reinforcement: float = parameter(
+        "0",
+        least=0.0,
+        source="chosen here [notes: mechanics, clutch]",
+        about="alpha: how much faster bonds open where the matrix is soft; 0: the same everywhere",
+    )
+    reinforcement_stiffness: float = parameter(
+        "12000 pN/um",
+        "pN/um",
+        above=0.0,
+        source="chosen here [notes: mechanics, clutch]",
+        about="k_half: nodal stiffness of the matrix at which half of alpha is left",
     )
     force_scale: float = parameter(
         "600 pN",
@@ -171,6 +184,11 @@ class FocalAdhesion(ClutchLaw, ClusterLaw):
             from cellsys.mechanics.effects.clutch import ClutchElement
 
             return (ClutchElement(self, site.body, site.matrix),)
+        if self.reinforcement > 0.0:
+            raise SceneError(
+                f"focal_adhesion.reinforcement = {self.reinforcement:g} is a law of the motor "
+                "clutch; set kinetics = 'clutch', or leave it out"
+            )
         from cellsys.mechanics.effects.switching import SwitchingElement
 
         return (SwitchingElement(self, site.body, site.matrix),)

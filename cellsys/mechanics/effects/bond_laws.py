@@ -17,6 +17,8 @@ class ClutchLaw(Effect):
     height: float  # um
     width: float  # um
     reach: float  # um
+    reinforcement: float
+    reinforcement_stiffness: float  # pN/um
 
 
 class ClusterLaw(Effect):

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
+from cellsys.laws.clutch import reinforced_rate
 from cellsys.mechanics import clutch_kernels as kernels
+from cellsys.mechanics.effects.anchorage import Anchorage
 from cellsys.mechanics.effects.bond_laws import ClutchLaw
-from cellsys.mechanics.effects.matrix import MATRIX
+from cellsys.mechanics.effects.footing import Footing, NodalLoad, Weights
+from cellsys.mechanics.effects.matrix import MATRIX, FibreElement
 from cellsys.mechanics.effects.protocol import (
     CellBody,
     Configuration,
@@ -24,48 +29,12 @@ def rim_factor(x: np.ndarray, radius: float) -> np.ndarray:
     return np.clip((0.9 * radius - np.hypot(x[:, 0], x[:, 1])) / (0.04 * radius), 0.0, 1.0)
 
 
-class SurfaceBins:
-    """Surface nodes sorted into square bins of side `reach`, for `surface_weights`."""
+class ClutchElement(Anchorage):
+    """Clutches of one cell: what the cell loses the matrix gains, by the same weights.
 
-    def __init__(self, disc: Disc, reach: float) -> None:
-        xy = disc.position[disc.surface, :2]
-        self.origin = float(-disc.radius - reach)
-        self.bins = int(np.ceil(2.0 * (disc.radius + reach) / reach)) + 1
-        cell = np.floor((xy - self.origin) / reach).astype(int) @ np.array([self.bins, 1])
-        order = np.argsort(cell, kind="stable")
-        self.nodes = disc.surface[order].astype(np.int64)
-        self.start = np.searchsorted(cell[order], np.arange(self.bins**2 + 1)).astype(np.int64)
-        self.reach, self.rest = reach, disc.position
-        # Most nodes that any point can have in reach, counted with a margin of one bin.
-        counts = np.diff(self.start).reshape(self.bins, self.bins)
-        padded = np.pad(counts, 1)
-        around = np.zeros_like(counts)
-        for i, j in np.ndindex(3, 3):
-            around += padded[i : i + self.bins, j : j + self.bins]
-        self.most = max(1, int(around.max()))
-
-    def weights(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(index, weight, count) of the matrix nodes under each membrane node."""
-        index = np.zeros((len(x), self.most), np.int64)
-        weight = np.zeros((len(x), self.most))
-        count = np.zeros(len(x), np.int64)
-        kernels.surface_weights(
-            x,
-            self.rest,
-            self.start,
-            self.nodes,
-            self.origin,
-            self.bins,
-            self.reach,
-            index,
-            weight,
-            count,
-        )
-        return index, weight, count
-
-
-class ClutchElement(Element):
-    """Clutches of one cell: what the cell loses the matrix gains, by the same weights."""
+    Unbinding sees |k_b S + r|, r the loads of other elements that `carry` these clutches, and
+    happens at k_off0 (1 + alpha k_h/(k + k_h)), k the stiffness of the matrix under the clutch.
+    """
 
     def __init__(self, effect: ClutchLaw, cell: CellBody, disc: Disc) -> None:
         self.effect, self.disc = effect, disc
@@ -81,17 +50,65 @@ class ClutchElement(Element):
             Block(self.strength, (n,), "1", role="component", kind="internal"),
             Block(self.stretch, (n, 2), "um", role="component", kind="internal"),
         )
-        self.bins = SurfaceBins(disc, effect.reach)
-        self._load = np.zeros(len(disc.position))
-        self._load_key = 0
+        self.footing = Footing(cell.name, disc, effect.reach)
+        self._load = NodalLoad(disc)
+        self._carried: tuple[Callable[[Configuration], np.ndarray], ...] = ()
+        self._fibres: FibreElement | None = None
+        self._off_rates = np.full(n, effect.off_rate)
+
+    def connect(self, built: Sequence[Element]) -> None:
+        if self.effect.reinforcement > 0.0:
+            self._fibres = next((e for e in built if isinstance(e, FibreElement)), None)
+
+    def carry(self, load: Callable[[Configuration], np.ndarray]) -> None:
+        """Unbinding sees the load too."""
+        self._carried = (*self._carried, load)
 
     def forget(self) -> None:
-        self._load = np.zeros(len(self.disc.position))
+        self._load.forget()
 
-    def _weights(self, s: Configuration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        if self.name not in s.cache:
-            s.cache[self.name] = self.bins.weights(s.nodes[self.array])
-        return s.cache[self.name]
+    def _weights(self, s: Configuration) -> Weights:
+        return self.footing.weights(s)
+
+    def strengths(self, s: Configuration) -> np.ndarray:
+        """n (n,)."""
+        return s.internal[self.strength]
+
+    def pulls(self, s: Configuration) -> np.ndarray:
+        """k_b S (n, 2), pN."""
+        return self.effect.stiffness * s.internal[self.stretch]
+
+    def _loads(self, s: Configuration) -> np.ndarray:
+        """|k_b S + r| (n,), pN."""
+        key = self.name + ".load"
+        if key not in s.cache:
+            stretch = s.internal[self.stretch]
+            load = np.empty(len(stretch))
+            if self._carried:
+                total = self._carried[0](s)
+                for further in self._carried[1:]:
+                    total = total + further(s)
+                kernels.total_loads(stretch, total, self.effect.stiffness, load)
+            else:
+                kernels.own_loads(stretch, self.effect.stiffness, load)
+            s.cache[key] = load
+        return s.cache[key]
+
+    def off_rates(self, s: Configuration) -> np.ndarray:
+        """Unloaded unbinding k_off0 (n,) of every clutch, 1/s."""
+        if self._fibres is None:
+            return self._off_rates
+        key = self.name + ".off"
+        if key not in s.cache:
+            e = self.effect
+            index, weight, count = self._weights(s)
+            stiffness = self._fibres.nodal(s)["stiffness"]
+            under = np.empty(len(count))
+            kernels.gather_scalar(stiffness, index, weight, count, under)
+            s.cache[key] = reinforced_rate(
+                e.off_rate, under, e.reinforcement, e.reinforcement_stiffness
+            )
+        return s.cache[key]
 
     def _rim(self, s: Configuration) -> np.ndarray:
         key = self.name + ".rim"
@@ -131,11 +148,11 @@ class ClutchElement(Element):
             s.internal[self.stretch],
             self._rim(s),
             slip,
-            e.stiffness,
+            self._loads(s),
             e.on_rate,
             e.height,
             e.width,
-            e.off_rate,
+            self.off_rates(s),
             e.force_scale,
             e.retrograde_speed,
             *out,
@@ -160,11 +177,11 @@ class ClutchElement(Element):
             self._rim(s),
             slip,
             dt,
-            e.stiffness,
+            self._loads(s),
             e.on_rate,
             e.height,
             e.width,
-            e.off_rate,
+            self.off_rates(s),
             e.force_scale,
             e.retrograde_speed,
             end.internal[self.strength],
@@ -175,19 +192,12 @@ class ClutchElement(Element):
         e = self.effect
         # Bond strengths grow by at most k_on per second: a margin of 0.2 lasts until the next look.
         n = np.minimum(s.internal[self.strength] + 0.2, 1.0)
-        index, weight, count = self._weights(s)
-        load = np.zeros(len(self.disc.position))
-        used = np.arange(weight.shape[1]) < count[:, None]
-        np.add.at(load, index[used], (weight * n[:, None])[used])
-        if np.any(load > self._load) or load.max() < 0.3 * self._load.max():
-            # A floor of half the greatest load on the whole surface: few factorisations.
-            self._load = np.zeros(len(load))
-            self._load[self.disc.surface] = 0.5 * load.max()
-            self._load = np.maximum(self._load, 1.5 * load)
-            self._load_key += 1
+        self._load.look(n, self._weights(s))
         greatest = max(e.stiffness, e.zipper)
         return (
             Stiffness(self.array, (0, 1), lambda: diagonal(e.stiffness * n), None),
             Stiffness(self.array, (2,), lambda: diagonal(e.zipper * n), None),
-            Stiffness(MATRIX, (0, 1, 2), lambda: diagonal(greatest * self._load), self._load_key),
+            Stiffness(
+                MATRIX, (0, 1, 2), lambda: diagonal(greatest * self._load.bound), self._load.key
+            ),
         )

@@ -79,6 +79,10 @@ class ExternalStrain(Effect):
     )
     history: History = History((0.0, 100.0), (0.0, 1.0))
 
+    @property
+    def outside_work(self) -> str:
+        return "what holds the moved nodes takes up their forces"
+
     def elements(self, site: Site) -> tuple[Element, ...]:
         return (_StrainElement(self, site.disc),)
 
@@ -86,6 +90,7 @@ class ExternalStrain(Effect):
 class _StrainElement(Element):
     def __init__(self, effect: ExternalStrain, disc: Disc) -> None:
         self.effect = effect
+        self.outside = effect.outside_work
         self.name = f"{MATRIX}.{effect.name}"
         center = np.zeros(2) if effect.region == "rim" else np.array([effect.x, effect.y])
         offset = disc.position[:, :2] - center

@@ -30,17 +30,25 @@ _SOFTER = 0.6  # the bound is renewed when the network has become this much soft
 
 @dataclass(frozen=True)
 class Drag(Effect):
-    """Viscous drag of every node; sets the constant 1/C of W_eta [thesis eq. 63-64]."""
+    """Viscous drag of every node; sets the constant 1/C of W_eta [thesis eq. 63-64].
+
+    `medium` is C_c of the thesis, the drag of the medium on a membrane node. 189 nodes with it
+    and the condensed cortex drag 0.38 N s/m; Stokes drag of a sphere of 8 um in water is 1.5e-7
+    N s/m, a million times less. The number stands because the thesis's speeds do, and stands for
+    all that a node's motion dissipates (membrane, cortex, what bonds that the clutch does not
+    have would cost); as a force of the medium it is what leaves a net traction of some percent.
+    """
 
     name: ClassVar[str] = "drag"
     acts_on: ClassVar[str] = "scene"
     not_on: ClassVar[dict[str, str]] = {"chain": "its drags are drag of [matrix] and of [[cells]]"}
-    cell: float = parameter(
+    medium: float = parameter(
         "1000 pN s/um",
         "pN s/um",
         above=0.0,
         source="thesis, C_c [notes: mechanics, drag]",
-        about="membrane node",
+        about="the medium on a membrane node, 1e6 times Stokes",
+        once="cell",
     )
     cortex: float = parameter(
         "1000 pN s/um",
@@ -56,6 +64,10 @@ class Drag(Effect):
         source="thesis, C_e [notes: mechanics, drag]",
         about="matrix node",
     )
+
+    @property
+    def outside_work(self) -> str:
+        return "the medium takes up the drag of every node"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +149,17 @@ class FibreElement(Element):
         self._bounds = None
 
     def slopes(self, s: Configuration) -> tuple[np.ndarray, np.ndarray]:
-        """Tangent slope g' and tension (pN) of every fibre."""
+        """Tangent slope g' and tension (pN) of every fibre, by the share of it that is left."""
+        slope, tension = self._raw(s)
+        if self.intact is None:
+            return slope, tension
+        key = self.name + ".intact"
+        if key not in s.cache:
+            s.cache[key] = slope * self.intact(s), tension * self.intact(s)
+        return s.cache[key]
+
+    def _raw(self, s: Configuration) -> tuple[np.ndarray, np.ndarray]:
+        """Tangent slope g' and tension (pN) of whole fibres."""
         if self.name not in s.cache:
             d, u = self.disc, s.nodes[MATRIX]
             slope, tension = np.empty(len(d.fibres)), np.empty(len(d.fibres))
@@ -152,10 +174,13 @@ class FibreElement(Element):
                 slope,
                 tension,
             )
-            if self.intact is not None:
-                slope, tension = slope * self.intact(s), tension * self.intact(s)
             s.cache[self.name] = slope, tension
         return s.cache[self.name]
+
+    def unbuckled(self, s: Configuration) -> np.ndarray:
+        """k max(g', 1) of every fibre (m,), pN/um: buckled ones as if they were straight."""
+        stiffness = np.maximum(self._raw(s)[0], 1.0) * self.disc.stiffness
+        return stiffness if self.intact is None else stiffness * self.intact(s)
 
     def measure(self, s: Configuration) -> dict[str, np.ndarray]:
         """The nodal measures, where a cell senses; nothing is stored that nobody reads."""
@@ -214,6 +239,10 @@ class Foundation(Effect):
         about="vertical spring of a node",
     )
 
+    @property
+    def outside_work(self) -> str:
+        return "the support below the film takes up the springs' pull"
+
     def elements(self, site: Site) -> tuple[Element, ...]:
         return (_FoundationElement(self, site.disc),)
 
@@ -221,6 +250,7 @@ class Foundation(Effect):
 class _FoundationElement(Element):
     def __init__(self, effect: Foundation, disc: Disc) -> None:
         self.spring, self.disc = effect.spring, disc
+        self.outside = effect.outside_work
         self.name = f"{MATRIX}.{effect.name}"
         self.ports = (Port(MATRIX, self.name),)
 

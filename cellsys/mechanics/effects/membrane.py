@@ -1,4 +1,4 @@
-"""Membrane: elastic lines and areas, volume, cortical tension, contact with the substrate."""
+"""Membrane: elastic lines and areas, cortical tension."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ from cellsys.mechanics.effects.protocol import (
     Stiffness,
     parameter,
 )
-from cellsys.mechanics.geometry.membrane import volume_gradient
-from cellsys.mechanics.tangent import diagonal, laplacian
+from cellsys.mechanics.tangent import laplacian
 
 _SOFT = 1e-6  # um^2 (um^4 for squared areas): keeps lengths and normals away from 0/0
 
@@ -233,99 +232,3 @@ class _TensionElement(Element):
                 len(x), *area_bound(x, m.triangles, m.triangle_area, 0.0, self.effect.tension)
             )
         return s.cache[key]
-
-
-@dataclass(frozen=True)
-class Volume(Effect):
-    """Nearly constant volume, E = K_V (V - V0)^2/(2 V0)."""
-
-    name: ClassVar[str] = "volume"
-    not_on: ClassVar[dict[str, str]] = {"chain": "a crawler is two masses and encloses no volume"}
-    modulus: float = parameter(
-        "300 pN/um^2",
-        "pN/um^2",
-        least=0.0,
-        source="working set [notes: mechanics, volume]",
-        about="K_V",
-    )
-
-    def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_VolumeElement(self, site.body),)
-
-
-class _VolumeElement(Element):
-    def __init__(self, effect: Volume, cell: CellBody) -> None:
-        self.effect, self.mesh = effect, cell.membrane
-        self.name = f"{cell.name}.{effect.name}"
-        self.array = cell.name
-        self.ports = (Port(cell.name, self.name),)
-
-    def _gradient(self, s: Configuration) -> tuple[float, np.ndarray]:
-        if self.name not in s.cache:
-            x = s.nodes[self.array]
-            gradient = np.empty_like(x)
-            s.cache[self.name] = volume_gradient(x, self.mesh.triangles, gradient), gradient
-        return s.cache[self.name]
-
-    def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
-        volume, gradient = self._gradient(s)
-        pressure = -self.effect.modulus * (volume / self.mesh.volume - 1.0)
-        out[0][:] = pressure * gradient
-
-    def energy(self, s: Configuration) -> float:
-        volume, _ = self._gradient(s)
-        return 0.5 * self.effect.modulus * (volume - self.mesh.volume) ** 2 / self.mesh.volume
-
-    def low_rank(self, s: Configuration) -> tuple[tuple[str, float, np.ndarray], ...]:
-        if self.effect.modulus == 0.0:
-            return ()
-        return ((self.array, self.effect.modulus / self.mesh.volume, self._gradient(s)[1]),)
-
-
-@dataclass(frozen=True)
-class SubstrateContact(Effect):
-    """Soft wall under the cell: F_z = k max(0, gap - z), carried by the rigid support below."""
-
-    name: ClassVar[str] = "substrate_contact"
-    not_on: ClassVar[dict[str, str]] = {
-        "chain": "a crawler moves along the chain and does not press on it"
-    }
-    stiffness: float = parameter(
-        "1000 pN/um",
-        "pN/um",
-        least=0.0,
-        source="assumed [notes: mechanics, contact]",
-        about="wall stiffness",
-    )
-    gap: float = parameter(
-        "0.05 um",
-        "um",
-        least=0.0,
-        source="assumed [notes: mechanics, contact]",
-        about="wall height",
-    )
-
-    def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_ContactElement(self, site.body),)
-
-
-class _ContactElement(Element):
-    def __init__(self, effect: SubstrateContact, cell: CellBody) -> None:
-        self.effect = effect
-        self.name = f"{cell.name}.{effect.name}"
-        self.array = cell.name
-        self.ports = (Port(cell.name, self.name),)
-
-    def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
-        depth = self.effect.gap - s.nodes[self.array][:, 2]
-        out[0][:, 2] = self.effect.stiffness * np.maximum(depth, 0.0)
-
-    def energy(self, s: Configuration) -> float:
-        depth = np.maximum(self.effect.gap - s.nodes[self.array][:, 2], 0.0)
-        return 0.5 * self.effect.stiffness * float(depth @ depth)
-
-    def stiffness(self, s: Configuration) -> tuple[Stiffness, ...]:
-        # Nodes within 0.1 um of the wall may touch it before the next look.
-        near = s.nodes[self.array][:, 2] < self.effect.gap + 0.1
-        wall = diagonal(self.effect.stiffness * near)
-        return (Stiffness(self.array, (2,), lambda: wall, None),)

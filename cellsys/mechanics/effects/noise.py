@@ -45,6 +45,10 @@ class Noise(Effect):
         about="absolute temperature",
     )
 
+    @property
+    def outside_work(self) -> str:
+        return "the medium gives the random forces"
+
     def elements(self, site: Site) -> tuple[Element, ...]:
         return tuple(_NoiseElement(self, array) for array in site.arrays)
 
@@ -53,6 +57,7 @@ class _NoiseElement(Element):
     def __init__(self, effect: Noise, array: JunctionArray) -> None:
         self.array, self.drag = array.name, array.drag
         self.name = f"{array.name}.{effect.name}"
+        self.outside = effect.outside_work
         self.force_block = f"{array.name}.thermal_force"
         self.inputs = (Port(array.name, self.name),)
         self.internal = (

@@ -41,12 +41,15 @@ def parameter(
     choices: Sequence[str] | None = None,
     source: str = "",
     about: str = "",
+    once: str = "",
 ) -> Any:
     """A dataclass field with unit, bounds, source and meaning in its metadata.
 
-    `default` is a quantity string ("500 pN/um") or, for ``choices``, one of them.
+    `default` is a quantity string ("500 pN/um"), one of the ``choices``, or a bool. Scene files
+    may also call the parameter by the name it had `once`.
     """
-    value = default if choices is not None else quantity(default, unit, name="default")
+    plain = choices is not None or isinstance(default, bool)
+    value = default if plain else quantity(default, unit, name="default")
     return field(
         default=value,
         metadata={
@@ -55,8 +58,10 @@ def parameter(
             "least": least,
             "most": most,
             "choices": tuple(choices) if choices is not None else None,
+            "flag": isinstance(default, bool),
             "source": source,
             "about": about,
+            "once": once,
         },
     )
 
@@ -74,6 +79,10 @@ def check_parameters(effect: DataclassInstance) -> None:
                 raise ParameterError(
                     f"{label} must be one of {', '.join(meta['choices'])}, got {value!r}"
                 )
+            continue
+        if meta["flag"]:
+            if not isinstance(value, bool):
+                raise ParameterError(f"{label} must be true or false, got {value!r}")
             continue
         unit = "" if meta["unit"] == "1" else f" {meta['unit']}"
         if isinstance(value, bool) or not isinstance(value, (int, float, np.floating)):
@@ -127,6 +136,15 @@ class Effect:
 
     def __post_init__(self) -> None:
         check_parameters(self)
+
+    @property
+    def outside_work(self) -> str:
+        """Who takes up the forces that this effect leaves unbalanced; "" when it balances them.
+
+        What a balanced effect gives one node array it takes from the same array or from another:
+        its port efforts sum to zero over all arrays of places.
+        """
+        return ""
 
     def arrays(self, site: Site) -> tuple[JunctionArray, ...]:
         """Node arrays that this effect adds at one site."""
@@ -240,11 +258,23 @@ class Element:
     """A bond-graph element with nodal ports; every method but `efforts` is optional."""
 
     name: str
+    outside: str = ""  # who takes up what the ports leave unbalanced, as `Effect.outside_work`
     ports: tuple[Port, ...] = ()
     inputs: tuple[Port, ...] = ()  # forces that enter u instead of eta
     commanded: tuple[Block, ...] = ()  # what is behind those forces, by name
     holds: tuple[Held, ...] = ()
     internal: tuple[Block, ...] = ()
+
+    def connect(self, built: Sequence[Element]) -> None:
+        """Find the elements that this one acts through, once all of a scene are built."""
+
+    def balance(self, s: Configuration, others: Sequence[Element]) -> str:
+        """Hold what `others` within the cell pull at the start `s`; the name of that cell.
+
+        A cell that is named then moves to where its forces on itself vanish
+        (`cellsys.mechanics.rest`); "" asks for nothing.
+        """
+        return ""
 
     def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
         """Write the force of each port (n_nodes, 3), pN, into `out` (already zero)."""
@@ -293,6 +323,10 @@ class Element:
 
     def measure(self, s: Configuration) -> dict[str, np.ndarray]:
         """Nodal measures stored with each sample, such as ``virial`` (n_nodes,)."""
+        return {}
+
+    def describe(self) -> dict[str, np.ndarray]:
+        """Constants that a run of the scene keeps in its ``geometry``."""
         return {}
 
     def initial(self, block: Block) -> np.ndarray:

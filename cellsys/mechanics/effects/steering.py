@@ -1,4 +1,4 @@
-"""Steering: lamellipodium, polarity, stiffness sensing; and external loads on the matrix."""
+"""Steering: lamellipodium, polarity, stiffness sensing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,16 @@ import numpy as np
 from cellsys.errors import SceneError
 from cellsys.laws.lamellipodium import protrusion
 from cellsys.laws.polarity import exact_step, rate
-from cellsys.laws.sensing import stiffest_direction, stress_direction
+from cellsys.laws.sensing import (
+    contrast,
+    fibre_ends,
+    graded,
+    measure_moment,
+    nodal_mean,
+    stiffest_direction,
+    stress_direction,
+    tensile_virial,
+)
 from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.effects.matrix import MATRIX, FibreElement
 from cellsys.mechanics.effects.protocol import (
@@ -22,13 +31,19 @@ from cellsys.mechanics.effects.protocol import (
     Site,
     parameter,
 )
-from cellsys.mechanics.geometry.disc import Disc
+from cellsys.mechanics.effects.push import CommandedPush, ProtrusionLaw
 from cellsys.system import Block
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lamellipodium(Effect):
-    """Protrusion of the leading sector, an exogenous force [thesis 4.4, eq. 68-70]."""
+class Lamellipodium(ProtrusionLaw):
+    """Protrusion of the leading sector [thesis 4.4, eq. 68-70].
+
+    ``reaction = "none"``: an exogenous force, as in the thesis's tables: nothing takes up what
+    pushes the cell, which then drags its matrix forward.
+    ``reaction = "clutch"``: a leading node pushes itself off the clutches around it, and they
+    carry the reaction into the matrix [notes: mechanics, reaction of the lamellipodium].
+    """
 
     name: ClassVar[str] = "lamellipodium"
     active: ClassVar[bool] = True
@@ -70,6 +85,29 @@ class Lamellipodium(Effect):
         source="assumed [notes: mechanics, lamellipodium]",
         about="downward part of the direction",
     )
+    reaction: str = parameter(
+        "none",
+        choices=("none", "clutch"),
+        source="thesis, table of sources [notes: mechanics, reaction of the lamellipodium]",
+        about="what takes up the protrusion's reaction",
+    )
+    range: float = parameter(
+        "6 um",
+        "um",
+        above=0.0,
+        source="chosen here [notes: mechanics, reaction of the lamellipodium]",
+        about="how far from a leading node its clutches lie",
+    )
+    half: float = parameter(
+        "0.5",
+        above=0.0,
+        source="chosen here [notes: mechanics, reaction of the lamellipodium]",
+        about="clutches that engage half of the force",
+    )
+
+    @property
+    def outside_work(self) -> str:
+        return "" if self.reaction == "clutch" else "a source: nothing takes up the reaction"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -80,28 +118,20 @@ class Lamellipodium(Effect):
             )
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (LamellipodiumElement(self, site.body, site.commanded),)
+        if self.reaction == "none":
+            return (LamellipodiumElement(self, site.body, site.commanded),)
+        from cellsys.mechanics.effects.protrusion import ProtrusionElement
+
+        return (ProtrusionElement(self, site.body, site.disc, site.commanded),)
 
 
-class LamellipodiumElement(Element):
+class LamellipodiumElement(CommandedPush):
     """Source of effort Se on the membrane array; enters u, not eta."""
 
     def __init__(self, effect: Lamellipodium, cell: CellBody, commands: Commands) -> None:
-        self.effect, self.commands, self.cell = effect, commands, cell
-        self.name = f"{cell.name}.{effect.name}"
-        self.array = cell.name
+        super().__init__(effect, cell, commands)
         self.inputs = (Port(cell.name, self.name),)
-        self.commanded = (
-            Block(f"{cell.name}.heading", (3,), "1", role="controller", kind="internal"),
-            Block(f"{cell.name}.amplitude", (), "1", role="controller", kind="internal"),
-        )
-        self.polarity = f"{cell.name}.polarity"
         self.bonds = f"{cell.name}.bond_number"
-
-    def amplitude(self, t: float) -> float:
-        """Commanded factor on the force at time t."""
-        history = self.commands.amplitude
-        return 1.0 if history is None else history(t)
 
     def force(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
         e = self.effect
@@ -118,12 +148,6 @@ class LamellipodiumElement(Element):
         if bonds is not None:
             # Clusters that switch: protrude, bind, then contract [notes: mechanics, lamellipodium].
             out[0][bonds >= 1.0] = 0.0
-
-    def observe(self, s: Configuration) -> dict[str, np.ndarray]:
-        return {"amplitude": np.asarray(self.amplitude(s.t))}
-
-    def stop_points(self) -> tuple[float, ...]:
-        return self.commands.stop_points()
 
 
 @dataclass(frozen=True)
@@ -145,9 +169,13 @@ class Polarity(Effect):
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StiffnessSensing(Effect):
-    """Sensed direction d: where the matrix around the cell is stiffest [thesis eq. 73]."""
+    """Sensed cue d: where the matrix around the cell is stiffest [thesis eq. 73].
+
+    |d| in [0, 1) says how far the contrast stands out of the network's noise; ``unit = true`` is
+    the literal direction of length 1 (`cellsys.laws.sensing` has both).
+    """
 
     name: ClassVar[str] = "stiffness_sensing"
     needs: ClassVar[tuple[str, ...]] = ("matrix_elasticity",)
@@ -179,7 +207,18 @@ class StiffnessSensing(Effect):
         "0.001",
         least=0.0,
         source="assumed [notes: mechanics, sensing]",
-        about="least |q|/S that turns the cell",
+        about="least |q|/S that turns the cell, where unit is true",
+    )
+    unit: bool = parameter(
+        False,
+        source="chosen here [notes: mechanics, sensing]",
+        about="a direction of length 1 however little stands out, not a graded cue",
+    )
+    noise: float = parameter(
+        "0.05",
+        above=0.0,
+        source="calibrated here [notes: mechanics, sensing]",
+        about="g0: contrast that gives a cue of strength 1/2",
     )
 
 
@@ -199,6 +238,9 @@ class PolarityElement(Element):
         self.name = f"{cell.name}.polarity"
         self.array = cell.name
         self.internal = (Block(self.name, (3,), "1", role="controller", kind="internal"),)
+        self._ends = np.ones(0)
+        if sensing is not None and fibres is not None and not sensing.unit:
+            self._ends = fibre_ends(len(fibres.disc.position), fibres.disc.fibres)
 
     def initial(self, block: Block) -> np.ndarray:
         if self.commands.heading is not None:
@@ -206,10 +248,12 @@ class PolarityElement(Element):
         return self.cell.polarity
 
     def sensed(self, s: Configuration) -> np.ndarray:
-        """Sensed direction d (3,), |d| = 1; p itself where nothing stands out."""
+        """Sensed cue d (3,), |d| < 1; of a unit direction p itself where nothing stands out."""
         p = s.internal[self.name]
         if self.sensing is None or self.fibres is None:
             return p.copy()
+        if not self.sensing.unit:
+            return np.array([*graded(self.contrast(s), self.sensing.noise), 0.0])
         slope, tension = self.fibres.slopes(s)
         disc, center = self.fibres.disc, s.nodes[self.array].mean(axis=0)
         nodes = disc.position + s.nodes[MATRIX]
@@ -222,6 +266,30 @@ class PolarityElement(Element):
             nodes, disc.fibres, slope * disc.stiffness, center, p,
             self.sensing.reach, self.sensing.threshold,
         )  # fmt: skip
+
+    def contrast(self, s: Configuration) -> np.ndarray:
+        """g (2,) of the stiffness per fibre, or of the tensile stress in its shell."""
+        sensing, fibres = self.sensing, self.fibres
+        if sensing is None or fibres is None:
+            raise SceneError(f"{self.array} senses nothing: add stiffness_sensing to the scene")
+        disc, center = fibres.disc, s.nodes[self.array].mean(axis=0)
+        nodes = disc.position + s.nodes[MATRIX]
+        if sensing.measure == "stiffness":
+            measure = nodal_mean(disc.fibres, fibres.unbuckled(s), self._ends)
+            return contrast(nodes, measure, center, sensing.reach)
+        _, tension = fibres.slopes(s)
+        virial = tensile_virial(len(nodes), disc.fibres, tension * disc.length)
+        q, total = measure_moment(nodes, virial, center, sensing.inner, sensing.reach)
+        return q / total if total > 0.0 else np.zeros(2)
+
+    def describe(self) -> dict[str, np.ndarray]:
+        if self.sensing is None or self.fibres is None or self.sensing.unit:
+            return {}
+        disc = self.fibres.disc
+        return {
+            "sensing.noise": np.array(self.sensing.noise),
+            "matrix.fibre_stiffness": nodal_mean(disc.fibres, disc.stiffness, self._ends),
+        }
 
     def observe(self, s: Configuration) -> dict[str, np.ndarray]:
         return {"p": s.internal[self.name].copy(), "d": self.sensed(s)}
@@ -269,85 +337,3 @@ def polarity_element(site: Site) -> PolarityElement:
 def _heading(history: History, t: float) -> np.ndarray:
     angle = history(t)
     return np.array([np.cos(angle), np.sin(angle), 0.0])
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExternalLoad(Effect):
-    """A force history spread over the surface nodes of a round patch of the matrix.
-
-    `patches` are further loads of the same kind that act together with this one.
-    """
-
-    name: ClassVar[str] = "external_load"
-    acts_on: ClassVar[str] = "matrix"
-    active: ClassVar[bool] = True
-    not_on: ClassVar[dict[str, str]] = {"chain": "a chain is loaded by its cells only"}
-    force: float = parameter(
-        "1000 pN",
-        "pN",
-        source="scene [notes: matrix, external load and strain]",
-        about="total force at factor 1",
-    )
-    direction: float = parameter(
-        "0 deg",
-        "rad",
-        source="scene [notes: matrix, external load and strain]",
-        about="angle in the plane",
-    )
-    x: float = parameter(
-        "0 um",
-        "um",
-        source="scene [notes: matrix, external load and strain]",
-        about="centre of the patch",
-    )
-    y: float = parameter(
-        "0 um",
-        "um",
-        source="scene [notes: matrix, external load and strain]",
-        about="centre of the patch",
-    )
-    radius: float = parameter(
-        "5 um",
-        "um",
-        above=0.0,
-        source="scene [notes: matrix, external load and strain]",
-        about="radius of the patch",
-    )
-    history: History = History((0.0,), (1.0,))
-    patches: tuple[ExternalLoad, ...] = ()
-
-    def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_LoadElement(self, site.disc),)
-
-
-class _LoadElement(Element):
-    def __init__(self, effect: ExternalLoad, disc: Disc) -> None:
-        self.effect = effect
-        self.name = f"{MATRIX}.{effect.name}"
-        self.inputs = (Port(MATRIX, self.name),)
-        self.parts = tuple((p, _pattern(p, disc)) for p in (effect, *effect.patches))
-
-    def force(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
-        out[0][:] = 0.0
-        for patch, pattern in self.parts:
-            out[0][:] += patch.history(s.t) * pattern
-
-    def stop_points(self) -> tuple[float, ...]:
-        return tuple(t for patch, _ in self.parts for t in patch.history.times)
-
-
-def _pattern(patch: ExternalLoad, disc: Disc) -> np.ndarray:
-    """Nodal forces (n, 3) of one patch at factor 1."""
-    xy = disc.position[:, :2] - (patch.x, patch.y)
-    weight = np.clip(1.0 - (xy**2).sum(axis=1) / patch.radius**2, 0.0, None)
-    weight[disc.clamped] = 0.0
-    mask = np.zeros(len(weight))
-    mask[disc.surface] = 1.0
-    weight *= mask
-    if not weight.any():
-        raise SceneError(
-            f"external_load at ({patch.x:g}, {patch.y:g}) um, radius {patch.radius:g} um, "
-            "covers no free matrix node; move it inside the disc or enlarge it"
-        )
-    unit = np.array([np.cos(patch.direction), np.sin(patch.direction), 0.0])
-    return patch.force * (weight / weight.sum())[:, None] * unit

@@ -8,7 +8,7 @@ through it cells turn towards each other, which no sensor of a cell's own state 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Protocol
 
 import numpy as np
@@ -16,8 +16,15 @@ import numpy as np
 from cellsys.arguments import checked
 from cellsys.contracts import MatrixField
 from cellsys.errors import ParameterError
-from cellsys.laws.sensing import nodal_sum, sensed_direction
-from cellsys.model.network_sensor import INNER, REACH
+from cellsys.laws.sensing import (
+    contrast,
+    fibre_ends,
+    graded,
+    measure_moment,
+    nodal_sum,
+    sensed_direction,
+)
+from cellsys.model.stiffness_map import INNER, REACH
 from cellsys.population.ported.capabilities import CellSensor, FibreField, NetworkReader
 
 MEASURES = ("stiffness", "stress")
@@ -42,6 +49,14 @@ class SensingParameters(Protocol):
     def threshold(self) -> float:
         """Least |q|/S that turns a cell."""
 
+    @property
+    def unit(self) -> bool:
+        """Whether the cue has length 1."""
+
+    @property
+    def noise(self) -> float:
+        """g0 of a graded cue."""
+
 
 @checked
 @dataclass(frozen=True)
@@ -57,20 +72,24 @@ class FieldSensor:
     reach, inner : float
         Sensing range and inner radius of the shell, um.
     threshold : float
-        Least |q|/S that turns a cell; below it d is the cell's own polarity.
+        Least |q|/S that turns a cell; below it d is the cell's own polarity. Of unit directions.
+    noise : float
+        g0 of a graded cue; 0: d has length 1.
     """
 
     measure: str = "stiffness"
+    _: KW_ONLY
     reach: float = REACH
     inner: float = INNER
     threshold: float = 1e-3
+    noise: float = 0.0
 
     def __post_init__(self) -> None:
         if self.measure not in MEASURES:
             raise ParameterError(
                 f"measure must be one of {', '.join(MEASURES)}, got {self.measure!r}"
             )
-        for name in ("reach", "inner", "threshold"):
+        for name in ("reach", "inner", "threshold", "noise"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise ParameterError(f"FieldSensor.{name} must be finite and >= 0, got {value!r}")
@@ -80,12 +99,18 @@ class FieldSensor:
     @classmethod
     def of(cls, effect: SensingParameters) -> FieldSensor:
         """The sensor of a scene's effect ``stiffness_sensing``."""
-        return cls(effect.measure, effect.reach, effect.inner, effect.threshold)
+        return cls(
+            measure=effect.measure,
+            reach=effect.reach,
+            inner=effect.inner,
+            threshold=effect.threshold,
+            noise=0.0 if effect.unit else effect.noise,
+        )
 
     def directions(
         self, field: MatrixField, q: np.ndarray, places: np.ndarray, p: np.ndarray
     ) -> np.ndarray:
-        """Unit directions (K, 3) sensed at places (K, 2), um, by cells of polarities p (K, 3).
+        """Cues (K, 3) sensed at places (K, 2), um, by cells of polarities p (K, 3).
 
         Raises
         ------
@@ -98,6 +123,8 @@ class FieldSensor:
                 "none; use a GalerkinField or a full field"
             )
         u = field.displacement(q)
+        if self.noise:
+            return np.array([self._graded(field, u, c) for c in places])
         nodal = field.matrix.nodal(u)
         stress = self.measure == "stress"
         measure, inner = nodal["virial" if stress else "stiffness"], self.inner if stress else 0.0
@@ -108,6 +135,17 @@ class FieldSensor:
                 for c, p_k in zip(places, p, strict=True)
             ]
         )
+
+    def _graded(self, field: FibreField, u: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Graded cue (3,) at one place."""
+        nodes = field.matrix.rest + u
+        if self.measure == "stiffness":
+            g = contrast(nodes, field.matrix.fibre_stiffness(u), place, self.reach)
+        else:
+            virial = field.matrix.nodal(u)["virial"]
+            q, total = measure_moment(nodes, virial, place, self.inner, self.reach)
+            g = q / total if total > 0.0 else np.zeros(2)
+        return np.array([*graded(g, self.noise), 0.0])
 
 
 def standing_on(field: MatrixField, sensor: CellSensor | None) -> CellSensor | None:
@@ -125,7 +163,10 @@ def standing_on(field: MatrixField, sensor: CellSensor | None) -> CellSensor | N
     nodes, known = np.asarray(field.nodes), sensor.map.nodes
     if isinstance(field, FibreField):
         disc = field.matrix.disc
-        return sensor.on(nodes, nodal_sum(len(nodes), disc.fibres, disc.stiffness))
+        total = nodal_sum(len(nodes), disc.fibres, disc.stiffness)
+        if sensor.map.contrasts:
+            total = total / fibre_ends(len(nodes), disc.fibres)
+        return sensor.on(nodes, total)
     if len(nodes) != len(known) or not np.array_equal(nodes[:, :2], known):
         raise ParameterError(
             f"the sensor reads the stiffness of its own network of {len(known)} nodes, and this "
