@@ -53,7 +53,6 @@ CHOICES: dict[str, tuple[str, bool, str, bool]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LocalSensor(StiffnessSensor):
     """`StiffnessSensor` with what is known of the network at the cell's place.

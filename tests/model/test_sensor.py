@@ -167,4 +167,4 @@ def test_a_graded_cue_is_learned_as_a_contrast():
     old = {k: v for k, v in sensor.arrays().items() if k not in ("noise", "strength")}
     assert StiffnessSensor(**old).error_unit == "deg"  # as files of 0.2.0 hold it
     with pytest.raises(ParameterError, match="noise"):
-        StiffnessSensor(K_d, noise=-1.0)
+        StiffnessSensor(K_d=K_d, noise=-1.0)
