@@ -22,7 +22,7 @@ import scipy.linalg as sla
 from cellsys.errors import SceneError
 from cellsys.mechanics.effects.protocol import Configuration, Element, JunctionArray
 
-_LEFT = 1e-7  # greatest force left, as a share of the greatest at the sphere
+_LEFT = 1e-11  # greatest force left, as a share of the greatest at the sphere
 _MOST = 2000  # iterations; some tens are usual
 _LOOK = 50  # iterations for which one M is kept
 _DEPTH = 12  # steps that are combined
@@ -106,7 +106,8 @@ class _Body:
                 flat = direction.ravel()
                 out[array] += k * np.outer(flat, flat)
         for M in out.values():
-            M[np.diag_indices(len(M))] += 1e-3 * np.trace(M) / len(M)
+            # An array that nothing holds, such as a nucleus without stiffness, stays in place.
+            M[np.diag_indices(len(M))] += 1e-3 * np.trace(M) / len(M) or 1.0
         return out
 
     def settle(self, start: dict[str, np.ndarray], what: str) -> dict[str, np.ndarray]:

@@ -19,7 +19,7 @@ def effect_table() -> list[dict[str, str]]:
     """One row per parameter of every effect: default, unit, source, meaning."""
     rows = []
     for name, effect in EFFECTS.items():
-        needs = ", ".join(effect.needs)
+        needs, outside = ", ".join(effect.needs), effect().outside_work
         for item in dataclasses.fields(effect):
             meta = item.metadata
             if "unit" not in meta:
@@ -36,6 +36,7 @@ def effect_table() -> list[dict[str, str]]:
                     "default": default,
                     "unit": unit,
                     "needs": needs,
+                    "outside work": outside,
                     "source": meta["source"],
                     "meaning": meta["about"],
                 }

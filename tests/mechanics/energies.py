@@ -63,7 +63,8 @@ def cortical_tension(item, nodes, internal):
 
 
 def cell_volume(item, nodes, internal):
-    return pressure(nodes[item.array], item.mesh, item.effect.modulus)
+    change = volume(nodes[item.array], item.mesh.triangles) - item.mesh.volume
+    return pressure(nodes[item.array], item.mesh, item.effect.modulus) - item.pressure * change
 
 
 def substrate_contact(item, nodes, internal):

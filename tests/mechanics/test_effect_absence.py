@@ -235,7 +235,7 @@ def test_a_build_without_one_effect_gives_the_same_bits_as_a_scene_without_it(
 
 ZERO = {
     "membrane_elasticity": {"line": "0 pN/um", "area": "0 pN/um"},
-    "volume": {"modulus": "0 Pa"},
+    "volume": {"modulus": "0 Pa", "pressure": "zero"},
     "cortical_tension": {"tension": "0 pN/um"},
     "focal_adhesion": {"stiffness": "0 pN/um", "zipper": "0 pN/um"},
     "lamellipodium": {"force": "0 pN"},

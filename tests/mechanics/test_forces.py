@@ -209,7 +209,6 @@ def test_parameters_reach_the_force():
     """Twice the stiffness, twice the force: every linear parameter, effect by effect."""
     for name, parameter, value, port in (
         ("cortical_tension", "tension", "300 pN/um", "cell1"),
-        ("volume", "modulus", "600 pN/um^2", "cell1"),
         ("substrate_contact", "stiffness", "2000 pN/um", "cell1"),
         ("foundation", "spring", "1000 pN/um", "matrix"),
     ):
@@ -220,6 +219,13 @@ def test_parameters_reach_the_force():
         two = force(changed, element(changed, label), x)[port]
         assert np.abs(one).max() > 0
         assert two == pytest.approx(2.0 * one, rel=1e-14)
+    one, two = (
+        force(s, element(s, "cell1.volume"), disturbed(s, 7))["cell1"]
+        for s in (
+            small(volume={"modulus": k, "pressure": "zero"}) for k in ("300 pN/um^2", "600 pN/um^2")
+        )
+    )
+    assert two == pytest.approx(2.0 * one, rel=1e-14)
 
 
 def test_slopes_are_shared_by_sensor_and_majorant():
