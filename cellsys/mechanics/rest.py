@@ -60,8 +60,9 @@ def _rest(
     s = body.at(start)
     asked = [e for e in inner if e.balance(s, [other for other in inner if other is not e])]
     # Only springs bring nodes back that slide along the surface.
-    springs = any(e.name == f"{cell}.membrane_elasticity" for e in inner)
-    if not (asked and springs):
+    springs = [e for e in inner if e.name == f"{cell}.membrane_elasticity"]
+    held = any(abs(part.matrix()).sum() > 0.0 for e in springs for part in e.stiffness(s))
+    if not (asked and held):
         return {}
     found = body.settle(start, f"volume of {cell}")
     if found is start:

@@ -51,6 +51,7 @@ class ClutchElement(Anchorage):
             Block(self.stretch, (n, 2), "um", role="component", kind="internal"),
         )
         self.footing = Footing(cell.name, disc, effect.reach)
+        self.bins = self.footing.bins
         self._load = NodalLoad(disc)
         self._carried: tuple[Callable[[Configuration], np.ndarray], ...] = ()
         self._fibres: FibreElement | None = None
