@@ -23,6 +23,7 @@ from cellsys.errors import SceneError
 from cellsys.mechanics.effects.protocol import Configuration, Element, JunctionArray
 
 _LEFT = 1e-11  # greatest force left, as a share of the greatest at the sphere
+_ROUNDING = 3e-10  # pN: what forces that cancel leave over is no load
 _MOST = 2000  # iterations; some tens are usual
 _LOOK = 50  # iterations for which one M is kept
 _DEPTH = 12  # steps that are combined
@@ -116,8 +117,7 @@ class _Body:
         s = self.at(start)
         force = self.forces(s)
         size = max(float(np.abs(f).max()) for f in force.values())
-        # Rounding of forces that cancel is no load.
-        if size <= 1e-9:
+        if size <= _ROUNDING:
             return start
         names, x = list(start), np.concatenate([v.ravel() for v in start.values()])
         ends = np.cumsum([v.size for v in start.values()])[:-1]
@@ -149,7 +149,7 @@ class _Body:
             left = max(float(np.abs(f).max()) for f in force.values())
             if not np.isfinite(left) or left > 1e3 * size:
                 break
-            if left <= _LEFT * size:
+            if left <= max(_LEFT * size, _ROUNDING):
                 return s.nodes
         raise SceneError(
             f"{what} finds no equilibrium of the free cell at the start: the greatest force is "

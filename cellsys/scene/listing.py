@@ -24,11 +24,12 @@ def effect_table() -> list[dict[str, str]]:
             meta = item.metadata
             if "unit" not in meta:
                 continue
-            default, unit = f"{item.default:.4g}", meta["unit"]
             if meta["choices"]:
                 default, unit = str(item.default), "|".join(meta["choices"])
-            if meta["flag"]:
+            elif meta["flag"]:
                 default, unit = str(item.default).lower(), "true|false"
+            else:
+                default, unit = f"{item.default:.4g}", meta["unit"]
             rows.append(
                 {
                     "effect": name,

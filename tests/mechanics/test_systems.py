@@ -76,15 +76,24 @@ def test_two_cells_act_on_one_matrix():
 
 @pytest.mark.parametrize("measure", ["stiffness", "stress"])
 def test_both_sensors_give_unit_directions(measure):
-    system = small(stiffness_sensing={"measure": measure, "reach": "12 um"})
+    system = small(stiffness_sensing={"measure": measure, "reach": "12 um", "unit": True})
     run = simulate(system, LinearlyImplicit(step=0.5), T)
     assert np.abs(np.linalg.norm(run.d[:, 0], axis=1) - 1.0).max() < 1e-14
     assert not run.d[:, 0, 2].any()
 
 
+@pytest.mark.parametrize("measure", ["stiffness", "stress"])
+def test_both_graded_cues_are_shorter_than_one(measure):
+    system = small(stiffness_sensing={"measure": measure, "reach": "12 um"})
+    run = simulate(system, LinearlyImplicit(step=0.5), T)
+    size = np.linalg.norm(run.d[:, 0], axis=1)
+    assert np.all((size > 0.0) & (size < 1.0))
+    assert not run.d[:, 0, 2].any()
+
+
 def test_nodal_stress_and_stiffness_are_stored_where_a_cell_senses():
     """Against a loop over fibres; the direction stored beside them is that of the measure."""
-    system = small(stiffness_sensing={"measure": "stress", "inner": "2 um"})
+    system = small(stiffness_sensing={"measure": "stress", "inner": "2 um", "unit": True})
     run = simulate(system, LinearlyImplicit(step=0.5), T)
     disc, n = system.matrix, len(system.matrix.position)
     assert run.virial.shape == run.stiffness.shape == (len(T), n)

@@ -229,7 +229,7 @@ def test_every_effect_of_the_registry_can_be_named_with_every_parameter():
             assert meta["source"], f"{name}.{item.name} has no source"
             assert meta["about"], f"{name}.{item.name} has no meaning"
             unit = "" if meta["unit"] == "1" or meta["choices"] else f" {meta['unit']}"
-            parameters[item.name] = f"{item.default}{unit}"
+            parameters[item.name] = item.default if meta["flag"] else f"{item.default}{unit}"
         others = dict.fromkeys(effect.excludes) | {
             other: None for other in TABLE["effects"] if name in EFFECTS[other].excludes
         }
