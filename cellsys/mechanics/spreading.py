@@ -92,8 +92,7 @@ def build_spreading(
     attach("scene", effects, whole)
     for element in elements:
         element.connect(elements)
-    arrays = rested(arrays, elements)
-    return SpreadingSystem(cells, matrix, tuple(elements), tuple(arrays))
+    return SpreadingSystem(cells, matrix, tuple(elements), tuple(rested(arrays, elements)))
 
 
 def node_arrays(
@@ -303,22 +302,20 @@ class SpreadingSystem(OverdampedSystem):
     def geometry(self) -> dict[str, np.ndarray]:
         """``cellK.triangles`` (m, 3), corners of the membrane's triangles, and of a matrix
         ``matrix.rest`` (N, 3) um, ``matrix.surface``, the nodes that adhesions reach, and
-        ``matrix.stiffness`` (N,) pN/um, the sum over the fibres at each node at rest. A graded cue
-        adds ``matrix.fibre_stiffness`` (N,), their mean, and ``sensing.noise``, its g0.
+        ``matrix.stiffness`` (N,) pN/um, the sum over the fibres at each node at rest; and what
+        elements `describe`.
         """
         bodies = [cell.body for cell in self.cells]
         membranes = {f"{body.name}.triangles": body.membrane.triangles for body in bodies}
         if self.matrix is None:
             return membranes
         disc = self.matrix
-        out = membranes | {
-            "matrix.rest": disc.position,
-            "matrix.surface": disc.surface,
-            "matrix.stiffness": nodal_sum(len(disc.position), disc.fibres, disc.stiffness),
-        }
+        total = nodal_sum(len(disc.position), disc.fibres, disc.stiffness)
+        surface = {"matrix.rest": disc.position, "matrix.surface": disc.surface}
+        membranes |= surface | {"matrix.stiffness": total}
         for element in self.elements:
-            out |= element.describe()
-        return out
+            membranes |= element.describe()
+        return membranes
 
     def stop_points(self) -> tuple[float, ...]:
         return tuple(sorted({t for e in self.elements for t in e.stop_points()}))

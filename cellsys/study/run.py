@@ -320,7 +320,7 @@ def _loop_summary(
         text = str(linear)
     graded = sensor is not None and sensor.noise > 0.0
     return LoopSummary(
-        why,
+        why_not=why,
         sensor_error_deg=None if graded else sensed,
         sensor_error_of_g=sensed if graded else None,
         heading_error_deg=heading,

@@ -77,12 +77,11 @@ class HeadingError:
     end: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LoopSummary:
     """The polarity loop on the plant, or why there is none."""
 
     why_not: str | None
-    _: dataclasses.KW_ONLY
     sensor_error_deg: SensorError | None = dataclasses.field(default=None, metadata=_LEFT_OUT)
     sensor_error_of_g: SensorError | None = dataclasses.field(default=None, metadata=_LEFT_OUT)
     heading_error_deg: HeadingError | None = dataclasses.field(default=None, metadata=_LEFT_OUT)
