@@ -49,13 +49,14 @@ def card_of(
     }
     sensor = model.sensor
     if sensor is not None:
-        facts["sensor"] = {
+        told: dict[str, object] = {
             "inputs": getattr(sensor, "inputs", "latent state"),
             f"held out, {sensor.error_unit}": sensor.held_out_error,
             f"constant direction, {sensor.error_unit}": sensor.constant_error,
         }
+        facts["sensor"] = told
         if sensor.noise:
-            facts["sensor"]["cue over the network's noise, |g|/g0"] = sensor.strength
+            told["cue over the network's noise, |g|/g0"] = sensor.strength
         facts[f"sensor, inputs tried ({sensor.error_unit}, run left out)"] = dict(
             getattr(sensor, "tried", {})
         )

@@ -232,6 +232,8 @@ def _drag(run: Trajectory, cell: str) -> np.ndarray:
         if b.name.startswith(f"{cell}.") and b.unit == "pN" and b.shape == position.shape
     )
     rows, columns = run.states.slice(position.name), run.auxiliaries.slice(port)
+    if run.W_eta is None:
+        raise DataError("the run was stored without W_eta, which holds the drag of the cell")
     return (1.0 / sp.csr_array(run.W_eta)[rows, columns].diagonal()).reshape(-1, 3)
 
 

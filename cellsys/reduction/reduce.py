@@ -247,9 +247,10 @@ def sensor_of(
         )
 
     aside = encoded[1]
-    held = (None, None) if test is None or aside is None else samples(test, aside.runs)
+    z_held, d_held = (None, None) if test is None or aside is None else samples(test, aside.runs)
     noise = float(data.geometry.get("sensing.noise", 0.0))
-    return fit_sensor(*samples(data, encoded[0].runs), *held, noise=noise)
+    z, d = samples(data, encoded[0].runs)
+    return fit_sensor(z, d, z_held, d_held, noise=noise)
 
 
 def _order_for(

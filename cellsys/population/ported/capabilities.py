@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from cellsys.contracts import MatrixField, SteppedField
 from cellsys.field.elasticity import MatrixEnergy
 from cellsys.kinds import kind_of
-from cellsys.model.network_sensor import StiffnessMap
+from cellsys.model.stiffness_map import StiffnessMap
 
 
 @runtime_checkable
