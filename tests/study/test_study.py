@@ -93,7 +93,7 @@ def test_summary_is_strict_json_and_says_what_the_model_is_worth(done):
     assert row["nothing moves"] == 1.0
     assert 0 < row["floor"] < 1
     assert table["margins"]["gain_margin_on_kappa"] is not None
-    assert set(table["loop"]["sensor_error_deg"]) == {"training", "held_out", "constant_direction"}
+    assert set(table["loop"]["sensor_error_of_g"]) == {"training", "held_out", "constant_direction"}
     assert [r["order"] for r in table["orders"] if r["method"] == "PCR"] == [4, 5, 10, 20]
     assert table["step_residual_share"]["cell1.position"] < 0.05
     assert table["wall_time_s"] > 0
@@ -116,7 +116,7 @@ def test_report_is_one_self_contained_file(done):
     text = (out / "report.html").read_text(encoding="utf-8")
     parser = Sources()
     parser.feed(text)
-    assert len(parser.found) == 7
+    assert len(parser.found) == 8
     assert all(s.startswith("data:image/png;base64,") for s in parser.found)
     assert not {"script", "link", "iframe"} & set(parser.tags)
     assert "url(" not in text
