@@ -126,3 +126,4 @@ from .spreading import (
 from .spreading import (
     trajectory as trajectory,
 )
+from .tractions import traction_field as traction_field

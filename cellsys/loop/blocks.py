@@ -78,6 +78,7 @@ def scheduled_diagram(
     order: int,
     dt: float,
     amplitude: float | None,
+    unit: bool = True,
 ) -> InterconnectedSystem:
     """A loop whose plant steps by its own clock, step for step that of `ScheduledSystem`.
 
@@ -89,6 +90,8 @@ def scheduled_diagram(
     ----------
     amplitude : float or None
         Of every step; None: an input ``amplitude`` of the whole.
+    unit : bool
+        Whether sensed directions have length 1; of graded cues g is their plain mean.
     """
     z = latent_names(order)
 
@@ -110,6 +113,8 @@ def scheduled_diagram(
 
     def mean(t: float, x: np.ndarray, u: np.ndarray, params: Mapping[str, float]) -> np.ndarray:
         middle = 0.5 * (u[:3] + u[3:])
+        if not unit:
+            return middle
         size = float(np.linalg.norm(middle))
         return middle / size if size > 0 else u[:3]
 

@@ -123,6 +123,7 @@ class ScheduledLoop:
             order=self.order,
             dt=self.model.dt,
             amplitude=amplitude,
+            unit=not self.sensor.noise,
         )
 
     @cached_property

@@ -284,7 +284,8 @@ def check_places(cells: tuple[Crawler, ...], chain: Chain) -> None:
     for (_, high, a), (low, _, b) in itertools.pairwise(spans):
         if low <= high:
             raise SceneError(
-                f"cell{a + 1} and cell{b + 1} overlap on nodes {low}..{high}; move one of them"
+                f"cell{a + 1} and cell{b + 1} overlap on nodes {low}..{high}; "
+                "move one of them (trail_node, lead_node)"
             )
 
 

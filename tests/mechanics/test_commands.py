@@ -87,7 +87,9 @@ def test_every_bound_of_every_parameter_holds(name):
         if "unit" not in meta:
             continue
         if meta["choices"]:
-            wrong = ["", "none", 3]
+            wrong = ["", "any", 3]
+        elif meta["flag"]:
+            wrong = ["", 1, None]
         else:
             wrong = [float("nan"), float("inf"), "5", True, None]
             wrong += [] if meta["above"] is None else [meta["above"]]

@@ -61,7 +61,7 @@ def test_what_is_written(done):
     assert {p.name for p in (out / "figures").iterdir()} == {
         "bode.png", "cell_and_matrix.png", "charges.png", "displacement_field.png",
         "error_against_order.png",
-        "polarity.png", "pole_map.png",
+        "polarity.png", "pole_map.png", "traction_field.png",
     }  # fmt: skip
     for picture in (out / "figures").iterdir():
         assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
