@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -47,7 +48,9 @@ def to_continuous(A: np.ndarray, B: np.ndarray, b: np.ndarray, dt: float) -> Aff
     extra = np.column_stack([B, b])
     k = extra.shape[1]
     whole = np.block([[step, dt * extra], [np.zeros((k, m)), np.eye(k)]])
-    log = sla.logm(whole)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # its accuracy is measured below
+        log = sla.logm(whole)
     if np.iscomplexobj(log):
         log = log.real
     if np.linalg.norm(sla.expm(log) - whole) > 1e-6 * np.linalg.norm(whole):

@@ -14,9 +14,10 @@ SCENE = {
     "effects": {
         "drag": {},
         "membrane_elasticity": {},
-        "volume": {},
+        # The sphere at the start is what the shapes are measured from.
+        "volume": {"pressure": "zero"},
         "cortical_tension": {},
-        "focal_adhesion": {},
+        "focal_adhesion": {"off_rate": "1/40 1/s"},
         "lamellipodium": {},
         "substrate_contact": {},
         "matrix_elasticity": {},
