@@ -26,7 +26,8 @@ def refined(parts=1):
         F = sla.fractional_matrix_power(A, 1 / parts)
         G = np.linalg.solve(sum(np.linalg.matrix_power(F, i) for i in range(parts)), B)
         every = [np.repeat(v[None], len(block.A), axis=0) for v in (F, G)]
-        blocks.append(dataclasses.replace(block, A=every[0], B=every[1]))
+        gamma = block.gamma / parts  # the port acts once a step
+        blocks.append(dataclasses.replace(block, A=every[0], B=every[1], gamma=gamma))
 
     def read(r):
         last = [np.repeat(v[-1:], len(v), axis=0) / parts for v in (r.R_z, r.R_u)]

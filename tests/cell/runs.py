@@ -14,10 +14,9 @@ SCENE = {
     "effects": {
         "drag": {},
         "membrane_elasticity": {},
-        # The sphere at the start is what the shapes are measured from.
-        "volume": {"pressure": "zero"},
+        "volume": {},
         "cortical_tension": {},
-        "focal_adhesion": {"off_rate": "1/40 1/s"},
+        "focal_adhesion": {},
         "lamellipodium": {},
         "substrate_contact": {},
         "matrix_elasticity": {},

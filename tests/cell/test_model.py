@@ -77,11 +77,17 @@ def test_frozen_plant_has_the_poles_of_the_charges():
 def test_start_and_encoding_round_trip():
     m, (train, _) = model(), runs()
     run = train[0]
-    x0 = np.asarray(run.x[0])[: m.states.size]
+    x0 = np.array(run.x[0])[: m.states.size]
+    place = m.states.view(x0, "cell1.position")
+    nodes = place.copy()
     z = m.encode(x0)
-    assert np.abs(z[:-2]).max() < 1e-9  # the sphere is the reference
-    nodes = run.block("cell1.position")[0]
-    np.testing.assert_allclose(m.nodes(z), nodes, atol=1e-9)
+    np.testing.assert_allclose(z[:-2], m.z_start[:-2], atol=1e-9)  # all runs start alike
+    # Shapes are measured from a sphere, the free cell at rest is a few hundredths of a um off it.
+    assert np.abs(m.nodes(z) - nodes).max() < 0.05
+    place[:] = nodes.mean(axis=0) + m.representation.shape.sphere
+    z = m.encode(x0)
+    assert np.abs(z[:-2]).max() < 1e-9
+    np.testing.assert_allclose(m.nodes(z), place, atol=1e-9)
     assert m.reconstruct(z).shape == (nodes.size,)
 
 

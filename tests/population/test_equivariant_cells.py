@@ -256,3 +256,25 @@ def test_the_estimate_covers_the_error_of_stepping(linear):
     assert "two steps of the field" in str(coarse_run)
     following = cells(coarse, small, PAIR).simulate(t, heading=np.zeros((30, 2)))
     assert 0 < following.error.relative < 1
+
+
+def test_refined_cells_answer_held_inputs_alike():
+    """The oracle above: commands and matrix velocities held over a step, one step or sixteen."""
+    rng, ported = np.random.default_rng(3), 0
+    for one, many in zip(refined().dynamics.blocks, refined(16).dynamics.blocks, strict=True):
+        if not one.size:
+            continue
+        x0, r = rng.normal(size=one.size), rng.normal(size=3)
+        velocity = 1e-2 * rng.normal(size=len(one.C))
+        ends = []
+        for block, parts, pushed in ((one, 1, 0), (one, 1, 1), (many, 16, 1)):
+            x, A = x0, block.A[0]
+            push = block.gamma * 0.5 * (np.eye(block.size) + A) @ block.C.T @ velocity
+            for _ in range(parts):
+                x = A @ x + block.B[0] @ r - pushed * push
+            ends.append(x)
+        free, whole, fine = ends
+        # gamma goes with all states alike: exact to (1 - pole)^2/12
+        assert np.abs(fine - whole).max() <= 1e-12 + 0.02 * np.abs(whole - free).max()
+        ported += np.abs(whole - free).max() > 1e-6
+    assert ported
