@@ -10,6 +10,7 @@ import numpy as np
 
 from cellsys.errors import ParameterError
 from cellsys.laws.polarity import heading_features
+from cellsys.laws.sensing import cue
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.model.sensor_symbols import raw_symbols, unit_symbols
 from cellsys.samples.commands import feature_of
@@ -103,7 +104,9 @@ def direction_of(
 ) -> ca.MX:
     """d (3, 1) as the law uses it."""
     raw = raw_symbols(sensor, z, values.value("K_d", cell), values.value("sensor.gain", cell))
-    return unit_symbols(raw) if normalise else raw
+    if not normalise:
+        return raw
+    return cue(raw, sensor.noise) if sensor.noise else unit_symbols(raw)
 
 
 @dataclass(frozen=True, eq=False)

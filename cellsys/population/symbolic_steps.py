@@ -60,7 +60,8 @@ def scheduled_form(loop: ScheduledLoop, wanted: SymbolicRequest) -> SymbolicLoop
     before = sensed(z)
     ahead = plant(z, told.pointed(0, turned(law, p, before, kappa, 0.5 * dt)), a, t)
     mean = 0.5 * (before + sensed(ahead))
-    mean = ca.if_else(ca.dot(mean, mean) > 0, unit_symbols(mean), before)
+    if not sensor.noise:
+        mean = ca.if_else(ca.dot(mean, mean) > 0, unit_symbols(mean), before)
     drive = told.pointed(0, turned(law, p, mean, kappa, 0.5 * dt))
     moved = plant(z, drive, a, t)
     names, p_names = latent_names(m), vector_names("p")

@@ -19,10 +19,18 @@ def coupled(form=None, kappa=1 / 60):
     )
 
 
-LOOPS = [make, lambda: make(normalise=False), coupled, lambda: coupled(cs.Feedback())]
+LOOPS = [
+    make,
+    lambda: make(normalise=False),
+    lambda: make(noise=0.5),
+    coupled,
+    lambda: coupled(cs.Feedback()),
+]
 
 
-@pytest.mark.parametrize("made", LOOPS, ids=["single", "raw", "superposition", "feedback"])
+@pytest.mark.parametrize(
+    "made", LOOPS, ids=["single", "raw", "graded", "superposition", "feedback"]
+)
 def test_rate_is_that_of_the_system(made):
     loop = made()
     form = cs.symbolic(loop, parameters=("kappa", "K_d"))

@@ -10,7 +10,8 @@ import scipy.linalg as sla
 
 import cellsys as cs
 from cellsys.errors import DimensionError, ParameterError
-from cellsys.model.network_sensor import LocalSensor, StiffnessMap
+from cellsys.model.network_sensor import LocalSensor
+from cellsys.model.stiffness_map import StiffnessMap
 from tests.loop.systems import make
 from tests.population.systems import model
 from tests.population.test_equivariant_cells import PAIR, cells
@@ -38,11 +39,20 @@ def local(m):
     return LocalSensor(K_d=K[0], K_s=K[1], map=known, K_t=K[2], M=K[3], a=0.3, K_q=1e-3 * K[4])
 
 
-@pytest.mark.parametrize("sensed", ["linear", "local"])
+def graded(sensor):
+    """The same weights as a contrast, of a map of contrasts where there is one."""
+    if isinstance(sensor, LocalSensor):
+        known = dataclasses.replace(sensor.map, contrasts=True)
+        sensor = dataclasses.replace(sensor, map=known, K_t=np.zeros((3, 2)))
+    return dataclasses.replace(sensor, noise=0.8)
+
+
+@pytest.mark.parametrize("sensed", ["linear", "local", "graded", "graded local"])
 @pytest.mark.parametrize("law", [cs.PolarityLaw(0.05), cs.PolarityLaw(0.05, cs.AntiparallelTurn())])
 def test_the_step_of_a_scheduled_loop_has_the_same_numbers(sensed, law):
     m = equivariant(seed=3)
-    sensor = m.sensor if sensed == "linear" else local(m.order)
+    sensor = local(m.order) if "local" in sensed else m.sensor
+    sensor = graded(sensor) if "graded" in sensed else sensor
     d = sensor.direction(m.z_start)
     p0 = -d if law.antiparallel != cs.AntiparallelStay() else np.array([0.6, 0.8, 0.0])
     loop = cs.closed_loop(m, controller=law, sensor=sensor, p0=p0)

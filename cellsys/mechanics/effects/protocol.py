@@ -142,7 +142,7 @@ class Effect:
         """Who takes up the forces that this effect leaves unbalanced; "" when it balances them.
 
         What a balanced effect gives one node array it takes from the same array or from another:
-        its port efforts sum to zero over all arrays of places.
+        its efforts, of ports and of inputs, sum to zero over all arrays of places.
         """
         return ""
 
@@ -258,7 +258,7 @@ class Element:
     """A bond-graph element with nodal ports; every method but `efforts` is optional."""
 
     name: str
-    outside: str = ""  # who takes up what the ports leave unbalanced, as `Effect.outside_work`
+    outside: str = ""  # who takes up what its forces leave unbalanced, as `Effect.outside_work`
     ports: tuple[Port, ...] = ()
     inputs: tuple[Port, ...] = ()  # forces that enter u instead of eta
     commanded: tuple[Block, ...] = ()  # what is behind those forces, by name

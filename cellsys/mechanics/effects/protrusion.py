@@ -4,6 +4,7 @@
     carried by clutch j          r_j = sum_i phi_ij f_i + c_j     (`push_off`)
     force on matrix node k       -sum_j w_jk r_j,  w_jk the weights of the clutches
 
+The push is commanded and enters u, as the source that the thesis has; what it takes is in eta.
 Without clutches in reach there is no push (g = 0). Forces sum to zero to rounding, couples about
 the substrate's normal too, those of the clutches' own pulls included; unbinding sees the load.
 """
@@ -32,10 +33,8 @@ class ProtrusionElement(CommandedPush):
     ) -> None:
         super().__init__(effect, cell, commands)
         self.disc = disc
-        self.ports = (
-            Port(cell.name, self.name),
-            Port(MATRIX, f"{MATRIX}.{effect.name}.{cell.name}"),
-        )
+        self.inputs = (Port(cell.name, self.name),)
+        self.ports = (Port(MATRIX, f"{MATRIX}.{effect.name}.{cell.name}"),)
         self._anchorage: Anchorage | None = None
 
     @property
@@ -97,6 +96,7 @@ class ProtrusionElement(CommandedPush):
         return self._shares(s)[1]
 
     def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
-        cell, carried = self._shares(s)
-        out[0][:] = cell
-        kernels.put_down(carried, *self.anchorage.footing.weights(s), out[1])
+        kernels.put_down(self.carried(s), *self.anchorage.footing.weights(s), out[0])
+
+    def force(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
+        out[0][:] = self._shares(s)[0]
