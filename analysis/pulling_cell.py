@@ -85,6 +85,9 @@ def forces(duration: float) -> None:
             "front / rear at the end, nN": f"{1e-3 * front[-1]:+.1f} / {1e-3 * rear[-1]:+.1f}",
             "samples with front < 0 < rear": f"{((front < 0) & (rear > 0)).sum()} of {len(front)}",
             "torque, %": f"{100 * max(f.torque_share for f in found):.2f}",
+            "torque less the drag's couple, %": (
+                f"{100 * max(f.torque_imbalance_share for f in found):.2g}"
+            ),
             "net force along the normal, %": f"{100 * last.net_pN[2] / last.sum_pN:.2f}",
             "contact radius, um": f"{contact_radius(x[-1]):.2f}",
             "contact area, um2": f"{contact_area(x[-1]):.0f}",

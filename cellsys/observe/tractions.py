@@ -46,6 +46,8 @@ class Tractions(Drawable):
         Of the cell; None in a run without one.
     drag : (3,)
         Force of the medium on the cell, -sum C v, pN.
+    drag_couple : float
+        Its couple about the normal through the centre, -sum r x C v, pN um.
     """
 
     force: np.ndarray
@@ -54,6 +56,7 @@ class Tractions(Drawable):
     centre: np.ndarray
     polarity: np.ndarray | None
     drag: np.ndarray
+    drag_couple: float = 0.0
 
     _figure: ClassVar[str] = "traction_field"
 
@@ -103,9 +106,17 @@ class Tractions(Drawable):
     @property
     def torque_share(self) -> float:
         """|sum r x t| about the normal over sum |r| |t|."""
+        return self._turning(0.0)
+
+    @property
+    def torque_imbalance_share(self) -> float:
+        """|sum r x t + sum r x C v| about the normal over sum |r| |t|: 0 where couples balance."""
+        return self._turning(self.drag_couple)
+
+    def _turning(self, taken: float) -> float:
         r, t = self.arm, self.force
         size = float(np.hypot(r[:, 0], r[:, 1]) @ np.hypot(t[:, 0], t[:, 1]))
-        turn = float(r[:, 0] @ t[:, 1] - r[:, 1] @ t[:, 0])
+        turn = float(r[:, 0] @ t[:, 1] - r[:, 1] @ t[:, 0]) - taken
         return abs(turn) / size if size > 0.0 else 0.0
 
     @property
@@ -204,13 +215,16 @@ def tractions(run: Trajectory, cell: str = "cell1", k: int = -1) -> Tractions:
     between = 0.5 * (u[at - 1] + u[at])
     v = (x[at] - x[at - 1]) / (run.t[at] - run.t[at - 1])
     p = None if run.p is None else run.polarities[at, _number(run, cell)]
+    centre = 0.5 * (x[at - 1] + x[at]).mean(axis=0)
+    drag, arm = -_drag(run, cell) * v, 0.5 * (x[at - 1] + x[at]) - centre
     return Tractions(
         force=force,
         place=run.geometry["matrix.rest"] + between,
         displacement=between,
-        centre=0.5 * (x[at - 1] + x[at]).mean(axis=0),
+        centre=centre,
         polarity=p,
-        drag=-(_drag(run, cell) * v).sum(axis=0),
+        drag=drag.sum(axis=0),
+        drag_couple=float(arm[:, 0] @ drag[:, 1] - arm[:, 1] @ drag[:, 0]),
     )
 
 

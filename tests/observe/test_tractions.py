@@ -34,6 +34,7 @@ def test_a_contractile_pair():
 def test_a_couple_and_a_net_force():
     turning = of([[0, 50, 0], [0, -50, 0]], [[2, 0, 0], [-2, 0, 0]])
     assert turning.torque_share == 1.0
+    assert turning.torque_imbalance_share == 1.0
     pulling = of([[30, 40, 7]], [[1, 0, 0]])
     assert pulling.net_share == 1.0
     assert pulling.imbalance_share == 1.0
@@ -72,6 +73,10 @@ def test_tractions_of_a_run_are_all_that_the_cell_does_to_its_matrix():
     ports = ("matrix.focal_adhesion.cell1", "matrix.lamellipodium.cell1",
              "matrix.substrate_contact.cell1")  # fmt: skip
     assert np.allclose(found.force, sum(run.auxiliary(p)[1] for p in ports), rtol=1e-12)
+    end = tractions(run)
+    # Means over an interval: what the places do inside it is left out.
+    assert end.torque_imbalance_share < 0.01
+    assert end.torque_share > 5.0 * end.torque_imbalance_share
     told = read_outs(run)
     assert told["traction_sum_pN"] == pytest.approx(tractions(run).sum_pN)
     volume = volume_course(run)
