@@ -48,7 +48,11 @@ class MatrixEnergy:
                 "this scene has no matrix, so there is no field to reduce; add [matrix] and "
                 "effects.matrix_elasticity"
             )
-        own = [e for e in system.elements if e.ports and all(p.array == MATRIX for p in e.ports)]
+        own = [
+            e
+            for e in system.elements
+            if e.ports and all(p.array == MATRIX for p in (*e.ports, *e.inputs))
+        ]
         fibres = [e for e in own if isinstance(e, FibreElement)]
         if not fibres:
             raise SceneError(

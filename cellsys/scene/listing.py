@@ -49,7 +49,8 @@ def setting_text(row: Mapping[str, str]) -> tuple[str, str]:
     """A row of `effect_table` as a scene file has it, at its default, and what it means."""
     if "|" in row["unit"] or row["unit"] in ("true", "false"):
         options = row["unit"].replace("|", " | ")
-        return f'{row["parameter"]} = "{row["default"]}"', f"{row['meaning']} ({options})"
+        default = row["default"] if row["unit"] == "true|false" else f'"{row["default"]}"'
+        return f"{row['parameter']} = {default}", f"{row['meaning']} ({options})"
     if row["unit"] == "1":
         return f"{row['parameter']} = {row['default']}", row["meaning"]
     return f'{row["parameter"]} = "{row["default"]} {row["unit"]}"', row["meaning"]
