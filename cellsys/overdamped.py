@@ -92,23 +92,17 @@ class OverdampedSystem(OdeSystem, ABC):
     def advance_internal(self, t: float, x: np.ndarray, x_new: np.ndarray, dt: float) -> None:
         """Fill the internal states of `x_new`, given its node positions and the old state."""
 
-    def advance_half(self, t: float, x: np.ndarray, middle: np.ndarray, dt: float) -> None:
-        """Fill the internal states of `middle`, dt after x, to first order.
-
-        What it gives goes into `advance_by_middle` only.
-        """
-        self.advance_internal(t, x, middle, dt)
-
     def advance_by_middle(
         self, t: float, x: np.ndarray, middle: np.ndarray, x_new: np.ndarray, dt: float
     ) -> None:
-        """Like `advance_internal` to second order; `middle` is the state half a step on.
+        """Like `advance_internal` to second order; `middle` is what is foreseen of half a step on.
 
-        By default Richardson's extrapolation of `advance_internal`: twice the second half's
-        result, less that of the whole step.
+        By default Richardson's extrapolation of `advance_internal`: twice the result of two
+        halves, less that of the whole step.
         """
         self.advance_internal(t, x, x_new, dt)
         whole = [x_new[states].copy() for states, _ in self.internal_blocks()]
+        self.advance_internal(t, x, middle, 0.5 * dt)
         self.advance_internal(t + 0.5 * dt, middle, x_new, 0.5 * dt)
         for (states, _), once in zip(self.internal_blocks(), whole, strict=True):
             x_new[states] = 2.0 * x_new[states] - once

@@ -89,6 +89,9 @@ class _SecondOrderStepper(ImplicitStepper):
         super().__init__(method, system, t0, x0, rng)
         self.before = 0.0  # length of the last step, s; 0 where there is none to go on from
         self.a, self.bend = 1.0, 0.0
+        # What has no velocity of its own, internal states and held nodes, and how it changed last.
+        self.rest = np.flatnonzero(~self.moving)
+        self.drift = np.zeros(self.rest.size)
         # The velocity before the last one, and the length of its step.
         self.earlier, self.long = np.zeros(system.states.size), 0.0
         self.middle = self.x
@@ -98,7 +101,7 @@ class _SecondOrderStepper(ImplicitStepper):
 
     def memory(self) -> dict[str, np.ndarray]:
         out = {**super().memory(), "before": np.array([self.before])}
-        out |= {"earlier": self.earlier, "long": np.array([self.long])}
+        out |= {"drift": self.drift, "earlier": self.earlier, "long": np.array([self.long])}
         if self.ended is not None:
             out |= {"ended_eta": self.ended[0], "ended_u": self.ended[1]}
         return out
@@ -106,14 +109,14 @@ class _SecondOrderStepper(ImplicitStepper):
     def restore(self, memory: dict[str, np.ndarray]) -> None:
         super().restore(memory)
         self.before, self.long = float(memory["before"][0]), float(memory["long"][0])
-        self.earlier = memory["earlier"].copy()
+        self.earlier, self.drift = memory["earlier"].copy(), memory["drift"].copy()
         if "ended_eta" in memory:
             self.ended = memory["ended_eta"].copy(), memory["ended_u"].copy()
 
     def take_step(self, t: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
         if self.before and (dt > _GROWTH * self.before or (t in self.kinks and self._jumps(t))):
             self.before = self.long = 0.0
-            self.velocity = np.zeros_like(self.velocity)
+            self.velocity, self.drift = np.zeros_like(self.velocity), np.zeros_like(self.drift)
         if self.before:
             return super().take_step(t, dt)
         # A start: the first step of all is of first order, so it is a short one.
@@ -135,9 +138,13 @@ class _SecondOrderStepper(ImplicitStepper):
         # Not where steps grow: a bend that is found in short steps says little about a long one.
         level = 0.0 < w < 1.0 + _LEVEL and self.long
         self.bend = 0.5 * dt * (dt + self.before) / (self.before + self.long) if level else 0.0
-        # Internal states follow the laws of the middle, to which the last velocity leads.
+        # Internal states follow the laws of the middle, to which the last changes lead; where
+        # something switches they say nothing.
         self.middle = x + 0.5 * dt * self.velocity
-        self.system.advance_half(t, x, self.middle, 0.5 * dt)
+        if self.system.discrete:
+            self.system.advance_internal(t, x, self.middle, 0.5 * dt)
+        else:
+            self.middle[self.rest] += 0.5 * dt * self.drift
         return self.a
 
     def predicted(self, t: float, x: np.ndarray, dt: float) -> np.ndarray:
@@ -157,8 +164,9 @@ class _SecondOrderStepper(ImplicitStepper):
         self.system.advance_by_middle(t, x, self.middle, end, dt)
 
     def accepted(
-        self, eta: np.ndarray, u: np.ndarray, velocity: np.ndarray, dt: float
+        self, x: np.ndarray, eta: np.ndarray, u: np.ndarray, velocity: np.ndarray, dt: float
     ) -> tuple[np.ndarray, np.ndarray]:
+        self.drift = (self.x[self.rest] - x[self.rest]) / dt
         self.earlier, self.velocity = self.velocity, velocity
         self.before, self.long = dt, self.before
         if self.begun is None:

@@ -170,9 +170,9 @@ class ImplicitStepper(Stepper):
         return t
 
     def accepted(
-        self, eta: np.ndarray, u: np.ndarray, velocity: np.ndarray, dt: float
+        self, x: np.ndarray, eta: np.ndarray, u: np.ndarray, velocity: np.ndarray, dt: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Averages of eta and u over a step that is taken, from those at its end."""
+        """Averages of eta and u over a step that is taken from x, from those at its end."""
         self.velocity = velocity
         return eta, u
 
@@ -290,7 +290,7 @@ class ImplicitStepper(Stepper):
         self.advance_internal(t, x, end, dt)
         self.events.extend(happened)
         self.x = end
-        eta, u = self.accepted(eta, u, velocity, dt)
+        eta, u = self.accepted(x, eta, u, velocity, dt)
         if self.averages:
             for states, rates in system.internal_blocks():
                 eta[rates] = (end[states] - x[states]) / dt
