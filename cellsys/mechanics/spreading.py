@@ -9,18 +9,15 @@ absent has no block, no state and no cost [notes: mechanics, equation of motion]
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
-from cellsys.errors import SceneError
 from cellsys.laws.sensing import nodal_sum
 from cellsys.mechanics.cholesky import SparseCholesky
-from cellsys.mechanics.commands import Commands
-from cellsys.mechanics.effects.matrix import MATRIX, Drag
+from cellsys.mechanics.effects.matrix import Drag
 from cellsys.mechanics.effects.protocol import (
-    CellBody,
     Configuration,
     Effect,
     Element,
@@ -30,21 +27,13 @@ from cellsys.mechanics.effects.protocol import (
 )
 from cellsys.mechanics.geometry.disc import Disc
 from cellsys.mechanics.junctions import Place, junction_graph, place_of, product
+from cellsys.mechanics.node_arrays import CellSpec, held, node_arrays
 from cellsys.mechanics.rest import rested
 from cellsys.mechanics.tangent import combine
 from cellsys.overdamped import MajorantBlock, OverdampedSystem, RankOne
-from cellsys.system import Block, Event, Layout
+from cellsys.system import Event, Layout
 
 _Driven = tuple[Element, tuple[tuple[slice, tuple[int, ...], np.ndarray], ...], tuple[Place, ...]]
-
-
-@dataclass(frozen=True)
-class CellSpec:
-    """A cell with its own effects and commands."""
-
-    body: CellBody
-    effects: dict[str, Effect]
-    commands: Commands = field(default_factory=Commands)
 
 
 def build_spreading(
@@ -93,38 +82,6 @@ def build_spreading(
     for element in elements:
         element.connect(elements)
     return SpreadingSystem(cells, matrix, tuple(elements), tuple(rested(arrays, elements)))
-
-
-def node_arrays(
-    cells: tuple[CellSpec, ...], matrix: Disc | None, drag: Drag
-) -> tuple[JunctionArray, ...]:
-    """The membranes of all cells and the matrix, each node with its drag."""
-    nodes = []
-    for cell in cells:
-        at, name = cell.body.membrane.position, cell.body.name
-        taken = {r for effect in cell.effects.values() for r in effect.replaces}
-        c = np.full(at.shape, drag.medium + (0.0 if "drag.cortex" in taken else drag.cortex))
-        nodes.append(JunctionArray(name, Block(f"{name}.position", at.shape, "um"), at, c))
-    if matrix is not None:
-        shape = matrix.position.shape
-        c = np.where(matrix.clamped, np.inf, drag.matrix)[:, None] * np.ones(3)
-        block = Block("matrix.displacement", shape, "um", role="field")
-        nodes.append(JunctionArray(MATRIX, block, np.zeros(shape), c))
-    if not nodes:
-        raise SceneError("a scene needs at least one cell or a matrix")
-    return tuple(nodes)
-
-
-def held(array: JunctionArray, elements: list[Element]) -> JunctionArray:
-    """The array with the nodes held by an element at their place at t = 0, their drag inf."""
-    for element in elements:
-        if any(h.array == array.name for h in element.holds):
-            start, drag = array.start.copy(), array.drag.copy()
-            for h, place in zip(element.holds, element.place(0.0), strict=True):
-                if h.array == array.name:
-                    start[h.nodes], drag[h.nodes] = place, np.inf
-            array = array._replace(start=start, drag=drag)
-    return array
 
 
 class SpreadingSystem(OverdampedSystem):
@@ -290,13 +247,13 @@ class SpreadingSystem(OverdampedSystem):
         if not self._driven:
             return self._undriven
         u = np.zeros(self.states.size)
-        for element, pushed, held in self._driven:
+        for element, pushed, places in self._driven:
             for piece, shape, mobility in pushed:
                 out = np.zeros(shape)
                 element.force(s, (out,))
                 u[piece] += mobility * out.ravel()
-            if held:
-                element.flows(s, tuple([u[piece].reshape(shape) for piece, shape in held]))
+            if places:
+                element.flows(s, tuple([u[piece].reshape(shape) for piece, shape in places]))
         return u
 
     def geometry(self) -> dict[str, np.ndarray]:
@@ -356,6 +313,21 @@ class SpreadingSystem(OverdampedSystem):
         object.__setattr__(self, "_last", ((x, s), (x_new, end)))
         for element in self._advancing:
             element.advance(s, end, dt)
+
+    def advance_half(self, t: float, x: np.ndarray, middle: np.ndarray, dt: float) -> None:
+        s, m = self.configuration(t, x), self.configuration(t + dt, middle)
+        object.__setattr__(self, "_last", ((x, s), (middle, m)))
+        for element in self._advancing:
+            element.advance_half(s, m, dt)
+
+    def advance_by_middle(
+        self, t: float, x: np.ndarray, middle: np.ndarray, x_new: np.ndarray, dt: float
+    ) -> None:
+        s, m = self.configuration(t, x), self.configuration(t + 0.5 * dt, middle)
+        end = self.configuration(t + dt, x_new)
+        object.__setattr__(self, "_last", ((x, s), (middle, m), (x_new, end)))
+        for element in self._advancing:
+            element.advance_by_middle(s, m, end, dt)
 
     def majorant(self, t: float, x: np.ndarray, dt: float) -> tuple[MajorantBlock, ...]:
         s = self.configuration(t, x)

@@ -160,6 +160,15 @@ class ClutchElement(Anchorage):
         )
 
     def advance(self, s: Configuration, end: Configuration, dt: float) -> None:
+        self._follow(s, s, end, dt)
+
+    def advance_by_middle(
+        self, s: Configuration, middle: Configuration, end: Configuration, dt: float
+    ) -> None:
+        self._follow(s, middle, end, dt)
+
+    def _follow(self, s: Configuration, at: Configuration, end: Configuration, dt: float) -> None:
+        """The bonds of `end`, by the rates and weights at `at`."""
         e, x = self.effect, s.nodes[self.array]
         slip = np.empty((len(x), 2))
         kernels.slip(
@@ -167,22 +176,22 @@ class ClutchElement(Anchorage):
             end.nodes[MATRIX],
             x,
             end.nodes[self.array],
-            *self._weights(s),
+            *self._weights(at),
             dt,
             slip,
         )
         kernels.clutch_advance(
-            x,
+            at.nodes[self.array],
             s.internal[self.strength],
             s.internal[self.stretch],
-            self._rim(s),
+            self._rim(at),
             slip,
             dt,
-            self._loads(s),
+            self._loads(at),
             e.on_rate,
             e.height,
             e.width,
-            self.off_rates(s),
+            self.off_rates(at),
             e.force_scale,
             e.retrograde_speed,
             end.internal[self.strength],

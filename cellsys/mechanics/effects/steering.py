@@ -303,6 +303,19 @@ class PolarityElement(Element):
             out[0][:] = rate(s.internal[self.name], self.sensed(s), self.law.kappa)
 
     def advance(self, s: Configuration, end: Configuration, dt: float) -> None:
+        self._turn(s, s, end, dt)
+
+    def advance_half(self, s: Configuration, middle: Configuration, dt: float) -> None:
+        # What is sensed there hardly depends on p, and sensing is dear.
+        middle.internal[self.name][:] = s.internal[self.name]
+
+    def advance_by_middle(
+        self, s: Configuration, middle: Configuration, end: Configuration, dt: float
+    ) -> None:
+        self._turn(s, middle, end, dt)
+
+    def _turn(self, s: Configuration, at: Configuration, end: Configuration, dt: float) -> None:
+        """The polarity of `end`, by the cue at `at`."""
         if self.commands.heading is not None:
             end.internal[self.name][:] = _heading(self.commands.heading, s.t + dt)
             return
@@ -311,9 +324,9 @@ class PolarityElement(Element):
             end.internal[self.name][:] = p
             return
         key = self.name + ".d"
-        if key not in s.cache:
-            s.cache[key] = self.sensed(s)
-        end.internal[self.name][:] = exact_step(p, s.cache[key], self.law.kappa, dt)
+        if key not in at.cache:
+            at.cache[key] = self.sensed(at)
+        end.internal[self.name][:] = exact_step(p, at.cache[key], self.law.kappa, dt)
 
     def stop_points(self) -> tuple[float, ...]:
         return self.commands.stop_points()
