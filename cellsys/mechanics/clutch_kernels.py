@@ -96,12 +96,15 @@ def clutch_rates(
 
 @compiled
 def clutch_advance(
-    x, n, stretch, reach_rim, slip, dt, load, k_on, height, width, k_off0, f_b, v_m, n_new, s_new
-):
-    """n and S after dt: exact exponentials at the start's rates, S driven by the mean n."""
+    x, n, stretch, reach_rim, slip, dt, bound, load, k_on, height, width, k_off0, f_b, v_m,
+    n_new, s_new,
+):  # fmt: skip
+    """n and S after dt: exact exponentials at the rates of x, `bound` and load, S driven by the
+    mean n. bound (nodes,): the strength that carries the load when the rates are taken.
+    """
     c0, c1 = x[:, 0].mean(), x[:, 1].mean()
     for i in range(x.shape[0]):
-        off = _unbinding(n[i], load[i], k_off0[i], f_b)
+        off = _unbinding(bound[i], load[i], k_off0[i], f_b)
         d0, d1 = x[i, 0] - c0, x[i, 1] - c1
         r = np.sqrt(d0 * d0 + d1 * d1 + 1e-12)
         on = reach_rim[i] * _binding(x[i, 2], k_on, height, width)

@@ -314,12 +314,6 @@ class SpreadingSystem(OverdampedSystem):
         for element in self._advancing:
             element.advance(s, end, dt)
 
-    def advance_half(self, t: float, x: np.ndarray, middle: np.ndarray, dt: float) -> None:
-        s, m = self.configuration(t, x), self.configuration(t + dt, middle)
-        object.__setattr__(self, "_last", ((x, s), (middle, m)))
-        for element in self._advancing:
-            element.advance_half(s, m, dt)
-
     def advance_by_middle(
         self, t: float, x: np.ndarray, middle: np.ndarray, x_new: np.ndarray, dt: float
     ) -> None:

@@ -215,7 +215,7 @@ def test_clutch_advance_is_the_exact_solution_at_frozen_rates(bonds):
     on, off, drive = clutch_oracle(x, n, stretch, rim, slip)
     for dt in (1e-6, 0.5, 100.0):
         n_new, s_new = np.empty(189), np.empty((189, 2))
-        arguments = (x, n, stretch, rim, slip, dt, *numbers(stretch), n_new, s_new)
+        arguments = (x, n, stretch, rim, slip, dt, n, *numbers(stretch), n_new, s_new)
         clutch_loops.clutch_advance(*arguments)
         rest = on / (on + off)
         assert np.allclose(n_new, rest + (n - rest) * np.exp(-(on + off) * dt), **CLOSE)

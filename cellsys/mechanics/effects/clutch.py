@@ -187,6 +187,7 @@ class ClutchElement(Anchorage):
             self._rim(at),
             slip,
             dt,
+            at.internal[self.strength],
             self._loads(at),
             e.on_rate,
             e.height,

@@ -299,20 +299,17 @@ class Element:
     def advance(self, s: Configuration, end: Configuration, dt: float) -> None:
         """Fill this element's internal states of `end` after dt, given both geometries."""
 
-    def advance_half(self, s: Configuration, middle: Configuration, dt: float) -> None:
-        """Like `advance`, to a middle that only `advance_by_middle` sees: first order will do."""
-        self.advance(s, middle, dt)
-
     def advance_by_middle(
         self, s: Configuration, middle: Configuration, end: Configuration, dt: float
     ) -> None:
-        """Like `advance` to second order, given the state half a step on.
+        """Like `advance` to second order, given what is foreseen of half a step on.
 
-        By default Richardson's extrapolation of `advance`: twice what the second half gives, less
-        what the whole step gives. What switches or jumps stays as both have it.
+        By default Richardson's extrapolation of `advance`: twice what two halves give, less what
+        the whole step gives. What switches or jumps stays as both have it.
         """
         self.advance(s, end, dt)
         whole = [end.internal[block.name].copy() for block in self.internal]
+        self.advance(s, middle, 0.5 * dt)
         self.advance(middle, end, 0.5 * dt)
         for block, once in zip(self.internal, whole, strict=True):
             found = end.internal[block.name]

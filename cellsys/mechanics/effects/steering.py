@@ -305,10 +305,6 @@ class PolarityElement(Element):
     def advance(self, s: Configuration, end: Configuration, dt: float) -> None:
         self._turn(s, s, end, dt)
 
-    def advance_half(self, s: Configuration, middle: Configuration, dt: float) -> None:
-        # What is sensed there hardly depends on p, and sensing is dear.
-        middle.internal[self.name][:] = s.internal[self.name]
-
     def advance_by_middle(
         self, s: Configuration, middle: Configuration, end: Configuration, dt: float
     ) -> None:
@@ -323,10 +319,10 @@ class PolarityElement(Element):
         if self.law is None:
             end.internal[self.name][:] = p
             return
-        key = self.name + ".d"
-        if key not in at.cache:
-            at.cache[key] = self.sensed(at)
-        end.internal[self.name][:] = exact_step(p, at.cache[key], self.law.kappa, dt)
+        key = f"{self.name}.turned in {dt!r}"
+        if key not in at.cache:  # every correction of a step asks again
+            at.cache[key] = exact_step(p, self.sensed(at), self.law.kappa, dt)
+        end.internal[self.name][:] = at.cache[key]
 
     def stop_points(self) -> tuple[float, ...]:
         return self.commands.stop_points()
