@@ -33,9 +33,7 @@ def main(quick: bool = False) -> None:
     print(f"kappa may be {k:.2f} times as large at a delay of {DELAY:g} s of the sensor")
     print(cs.margins(faster.open_loop("equilibrium")))
     for name, each in (("as it is", loop), ("changed", faster)):
-        run = each.simulate(
-            t, cs.CVODES(rtol=1e-8, atol=1e-10)
-        )  # the nonlinear loop, from 126 deg off
+        run = each.simulate(t, cs.CVODES(rtol=1e-8, atol=1e-10))  # nonlinear, from 126 deg off
         off = np.abs(cs.heading_error_deg(run.p[:, 0], point.p[None]))
         print(f"{name}: {off[-1]:.2f} deg off at the end, 5 deg after {t[off > 5.0].max():.0f} s")
 

@@ -319,6 +319,7 @@ def test_effects_and_schema(call, tmp_path):
 # The whole path
 
 
+@pytest.mark.slow
 def test_run_writes_a_study_and_prints_its_verdict(call, tmp_path):
     (tmp_path / "s.toml").write_text(TINY)
     code, out, err = call("run", "s.toml", "--order", 4, "--workers", 1)

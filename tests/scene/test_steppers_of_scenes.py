@@ -133,7 +133,13 @@ def test_editors_are_offered_the_steppers():
 
 
 @pytest.mark.parametrize("stepper", ["BDF2", "RKC"])
-@pytest.mark.parametrize("effects", [None, CLUSTERS], ids=["clutch", "clusters"])
+@pytest.mark.parametrize(
+    "effects",
+    [
+        pytest.param(None, id="clutch"),
+        pytest.param(CLUSTERS, id="clusters", marks=pytest.mark.slow),
+    ],
+)
 def test_a_run_logs_averages_and_continues_bit_for_bit(tmp_path, stepper, effects):
     told = scene({"stepper": stepper}, effects, duration="24 s", sample="1 s")
     system, integrator = build(told), method(told)
