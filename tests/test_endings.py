@@ -235,7 +235,9 @@ def test_a_command_and_its_workers_end_and_the_runs_go_on(command, sent, code, t
     out, err = process.communicate(timeout=20)
     assert process.returncode == code
     assert out == ("" if command == "run" else "2 runs, 194 MB on the disk\n")
-    assert err.count("\n") == 1, err
+    *plan, end = err.splitlines()
+    assert [line.split()[:2] for line in plan] == [["7", "full-order"]] * (command == "run"), err
+    assert end.startswith("cellsys: "), err
     assert gone_within(1.0, session(process.pid))
     stamps = {p: p.stat().st_mtime_ns for p in runs.glob("*.partial/header.json")}
     assert len(stamps) == len(list(runs.iterdir())) == 2

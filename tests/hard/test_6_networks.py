@@ -8,6 +8,7 @@ import pytest
 
 from cellsys.errors import IntegrationError
 from cellsys.integrate import ExplicitEuler, LinearlyImplicit, simulate
+from cellsys.scene.registry import EFFECTS
 from tests import naive
 from tests.hard.stress import SEED, Case, Choice, Power, Real, hold
 from tests.mechanics.small_scenes import tiny_system
@@ -351,8 +352,9 @@ def a_cell_leaves_the_substrate(height, strength, seed):
     z = np.array([system.states.view(y, "cell1.position")[:, 2] for y in run.x[1:]])
     lost = z.min(axis=0) > 3.0  # binding at 3 um: exp(-(3 - 0.9)/0.2) = 3e-5 of its rate
     if lost.any():
-        # unloaded clutches open at 1/40 1/s, loaded ones faster
-        assert np.all(n[-1, lost] <= n[0, lost] * np.exp(-t[-1] / 40.0) + 1e-3)
+        # unloaded clutches open at their own rate, loaded ones faster
+        rate = EFFECTS["focal_adhesion"]().off_rate
+        assert np.all(n[-1, lost] <= n[0, lost] * np.exp(-t[-1] * rate) + 1e-3)
     # first order; the kink of contact is passed at some step or the next: 2 nm. Far above it is
     # the largest move that sets the steps, alike in all three runs: 0.2 % of the way
     converges(system, x, 0.25, 4.0, system.states.slice("cell1.position"), 2e-3 * (1.0 + height))
