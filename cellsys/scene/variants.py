@@ -40,7 +40,7 @@ def without(scene: Scene, name: str) -> tuple[Scene, tuple[str, ...]]:
         more = {
             n
             for n, e in left.items()
-            for need in e.needs
+            for need in e.requires
             if not any(choice in left for choice in need.split("|"))
         }
         if not more:

@@ -308,8 +308,15 @@ def test_variants_are_all_combinations_and_wrong_ones_stop_before_any_run():
 def test_leaving_out_takes_along_what_needs_it():
     scene = load_scene("spreading")
     rest, also = without(scene, "matrix_elasticity")
-    assert also == ("focal_adhesion", "polarity", "stiffness_sensing")
+    assert also == ("focal_adhesion", "lamellipodium", "polarity", "stiffness_sensing")
     assert set(scene.effects) - set(rest.effects) == {"matrix_elasticity", *also}
+    # the reaction of the push goes through the clutches, in this scene and not in the literal one
+    assert without(scene, "focal_adhesion")[1] == ("lamellipodium",)
+    literal = load_scene(EXAMPLES / "spreading_literal.toml")
+    assert without(literal, "focal_adhesion")[1] == ()
+    for name in scene.effects:
+        if name != "drag":
+            assert build(without(scene, name)[0]).states.size > 0
     with pytest.raises(SceneError, match="drag is missing"):
         without(scene, "drag")
     with pytest.raises(SceneError, match="has no effect 'nucleus'"):

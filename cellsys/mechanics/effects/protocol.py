@@ -146,6 +146,11 @@ class Effect:
         """
         return ""
 
+    @property
+    def requires(self) -> tuple[str, ...]:
+        """`needs` with what these parameters ask for besides."""
+        return self.needs
+
     def arrays(self, site: Site) -> tuple[JunctionArray, ...]:
         """Node arrays that this effect adds at one site."""
         return ()

@@ -106,6 +106,11 @@ class Lamellipodium(ProtrusionLaw):
     )
 
     @property
+    def requires(self) -> tuple[str, ...]:
+        """The clutches that take up the reaction."""
+        return (*self.needs, *(("focal_adhesion",) if self.reaction == "clutch" else ()))
+
+    @property
     def outside_work(self) -> str:
         return "" if self.reaction == "clutch" else "a source: nothing takes up the reaction"
 
