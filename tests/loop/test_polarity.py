@@ -77,7 +77,7 @@ def test_length_is_kept_over_a_million_steps():
 
 @pytest.mark.slow
 def test_length_is_kept_over_200_000_steps_in_full():
-    """A million steps of the law itself: tests/laws."""
+    """More of the law itself: tests/laws."""
     rng = np.random.default_rng(0)
     law = PolarityLaw(kappa=1 / 60)
     directions = [unit(a, 0.3 * np.sin(a)) for a in rng.uniform(0, 2 * np.pi, 1000)]
