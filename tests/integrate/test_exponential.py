@@ -182,11 +182,11 @@ def covered(seeds, method):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", [Exponential, CVODES])
-def test_estimates_cover_the_error_of_random_loops(method):
-    """80 loops, at 1e-5: covered in 95 %, within a factor 20 in all."""
-    ratios = covered(range(80), method(rtol=1e-5, atol=1e-5))
-    assert len(ratios) > 75
+@pytest.mark.parametrize(("method", "loops"), [(Exponential, 80), (CVODES, 200)])
+def test_estimates_cover_the_error_of_random_loops(method, loops):
+    """Loops at 1e-5: covered in 95 %, within a factor 20 in all."""
+    ratios = covered(range(loops), method(rtol=1e-5, atol=1e-5))
+    assert len(ratios) > 0.94 * loops
     assert np.mean(ratios >= 1.0) >= 0.95
     assert np.mean(ratios < 20.0) >= 0.95
 
