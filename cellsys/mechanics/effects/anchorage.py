@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 
 import numpy as np
@@ -21,14 +22,14 @@ class Anchorage(Element):
     array: str
     footing: Footing
 
+    @abstractmethod
     def strengths(self, s: Configuration) -> np.ndarray:
         """Strength of the bond at every membrane node (n,), in [0, 1]."""
-        raise NotImplementedError(f"{self.name} states no strengths")
 
+    @abstractmethod
     def pulls(self, s: Configuration) -> np.ndarray:
         """Force in the plane (n, 2), pN, with which each bond by itself pulls its membrane node."""
-        raise NotImplementedError(f"{self.name} states no pulls")
 
+    @abstractmethod
     def carry(self, load: Callable[[Configuration], np.ndarray]) -> None:
         """Let the bonds carry `load(s)` (n, 2 or 3), pN, besides their own."""
-        raise NotImplementedError(f"{self.name} carries no further load")
