@@ -79,7 +79,7 @@ from .loop import (
     loop_copies,
     parametric_loop,
 )
-from .mechanics.commands import Commands, History
+from .effects.commands import Commands, History
 from .mechanics.crawler import Crawler, CrawlerSystem, build_crawlers
 from .mechanics.crawler_run import CrawlRun, crawl
 from .observe import (
@@ -105,8 +105,8 @@ from .observe import (
     summary_of_run,
     until_contact,
 )
+from .symbols import symbolic
 from .population import (
-    symbolic,
     CellPort,
     CoupledCells,
     CoupledStability,
@@ -189,7 +189,6 @@ from .response import (
     c2d,
     controllability_gramian,
     d2c,
-    damping,
     error_system,
     forced_response,
     frequency_response,
@@ -200,15 +199,18 @@ from .response import (
     margins,
     norm,
     observability_gramian,
+    pseudospectral_abscissa,
+    root_locus,
+    sensitivity,
+    step_response,
+)
+from .spectra import (
+    damping,
     participation,
     poles,
     pseudospectra,
-    pseudospectral_abscissa,
     realization,
-    root_locus,
-    sensitivity,
     stability,
-    step_response,
     zeros,
 )
 from .scene import (

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from cellsys.geometry.chain import Chain
 from cellsys.integrate import DOP853
 from cellsys.mechanics.crawler import Crawler, build_crawlers
 from cellsys.mechanics.crawler_run import crawl
-from cellsys.mechanics.geometry.chain import Chain
 
 
 def main(quick: bool = False, out: str | None = None) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import scipy.sparse as sp
 
 import cellsys as cs
-from cellsys.mechanics.effects import Effect, Element, Port, Stiffness, parameter
+from cellsys.effects import Effect, Element, Port, Stiffness, parameter
 
 
 @dataclass(frozen=True)

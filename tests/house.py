@@ -152,11 +152,11 @@ def never_raised(errors: str, sources: dict[str, str]) -> set[str]:
 
 
 def crowded(sources: dict[str, str], most: int) -> dict[str, int]:
-    """Lines of every folder whose own files hold more than `most`."""
+    """Lines of every room (a folder of the package with all below it) that holds over `most`."""
     lines: dict[str, int] = {}
     for name, text in sources.items():
-        folder = name.rpartition("/")[0]
-        lines[folder] = lines.get(folder, 0) + text.count("\n")
+        room = "/".join(name.split("/")[:2])
+        lines[room] = lines.get(room, 0) + text.count("\n")
     return {folder: n for folder, n in lines.items() if n > most}
 
 

@@ -199,9 +199,9 @@ def built() -> dict[str, tuple[object, str]]:
     cell = DiscSceneTable.model_fields["cells"].annotation.__args__[0]
     out["cells.radius"] = cell.model_fields["radius"].default, "um"
     for where, names in (
-        ("mechanics.geometry.disc", {"DENSITY": "1/um^3", "COORDINATION": "1", "RIM": "1",
+        ("geometry.disc", {"DENSITY": "1/um^3", "COORDINATION": "1", "RIM": "1",
                                      "SURFACE_DEPTH": "um"}),
-        ("mechanics.geometry.membrane", {"NODES": "1"}),
+        ("geometry.membrane", {"NODES": "1"}),
         ("scene.plane", {"START_GAP": "um"}),
     ):  # fmt: skip
         module = import_module(f"cellsys.{where}")
@@ -211,7 +211,7 @@ def built() -> dict[str, tuple[object, str]]:
 
 
 def _chain() -> type:
-    from cellsys.mechanics.geometry.chain import Chain
+    from cellsys.geometry.chain import Chain
 
     return Chain
 

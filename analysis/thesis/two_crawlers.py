@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.geometry.chain import Chain
 from cellsys.integrate import DOP853, simulate
 from cellsys.mechanics.crawler import Crawler, build_crawlers
-from cellsys.mechanics.geometry.chain import Chain
 from cellsys.model import LatentModel
 from cellsys.samples import RunData
 from cellsys.trajectory import Trajectory

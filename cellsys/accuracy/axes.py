@@ -15,11 +15,11 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.contracts import Cells, Integrator, LinearModel, Reductor
+from cellsys.effects.protocol import Effect
 from cellsys.errors import DataError, ParameterError
 from cellsys.integrate import DOP853, Exponential, LinearlyImplicit, simulate
 from cellsys.integrate.record import check_times
 from cellsys.kinds import Count, Seed
-from cellsys.mechanics.effects.protocol import Effect
 from cellsys.population import (
     Feedback,
     InteractionGraph,

@@ -13,9 +13,9 @@ from cellsys.accuracy.axes import CostAxis, CostRow
 from cellsys.arguments import checked
 from cellsys.cell import CellsOnField, EquivariantModel
 from cellsys.contracts import MatrixField, SteppedField
+from cellsys.effects.commands import History
 from cellsys.errors import ParameterError
 from cellsys.kinds import kind_of
-from cellsys.mechanics.commands import History
 from cellsys.scene import Scene
 from cellsys.trajectory import Trajectory
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellsys.mechanics.compiled import compiled
+from cellsys.compiled import compiled
 
 
 @compiled(vector=True)

@@ -64,7 +64,7 @@ def load_model(path: Path) -> AffineModel:
 def poles(model: ModelFile, as_json: Json = False) -> None:
     """Poles of a model: frequency, damping, time constant."""
     from cellsys.cell.model import EquivariantModel
-    from cellsys.response import damping
+    from cellsys.spectra import damping
 
     loaded = load_model(model)
     plant = loaded.realization()
@@ -171,7 +171,7 @@ def _bode_along(
 @app.command()
 def stability(model: ModelFile, as_json: Json = False) -> None:
     """Stability of a model's plant and the reason; open where rounding or the data leave it."""
-    from cellsys.response import stability as judge
+    from cellsys.spectra import stability as judge
 
     loaded = load_model(model)
     plant = loaded.realization()

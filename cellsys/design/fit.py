@@ -25,9 +25,9 @@ from cellsys.errors import (
 from cellsys.kinds import Count
 from cellsys.loop import ClosedLoop, ScheduledLoop
 from cellsys.model.sensor import StiffnessSensor
-from cellsys.population.symbolic import SymbolicSource, symbolic
-from cellsys.population.symbolic_form import SymbolicLoop
-from cellsys.population.symbolic_parts import PARAMETERS
+from cellsys.symbols.build import SymbolicSource, symbolic
+from cellsys.symbols.form import SymbolicLoop
+from cellsys.symbols.parts import PARAMETERS
 from cellsys.trajectory import Trajectory
 
 _LOST = 1e-9  # a direction whose slope is below this share of the largest is not there at all

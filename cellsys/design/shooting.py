@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellsys.errors import ParameterError
-from cellsys.population.symbolic_form import SymbolicLoop
+from cellsys.symbols.form import SymbolicLoop
 
 if TYPE_CHECKING:
     import casadi as ca

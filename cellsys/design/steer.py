@@ -27,8 +27,8 @@ from cellsys.errors import DimensionError, ParameterError
 from cellsys.kinds import Count
 from cellsys.loop import ScheduledLoop
 from cellsys.population.ported.equivariant_cells import EquivariantCells
-from cellsys.population.symbolic import SymbolicSource, symbolic
 from cellsys.scene.scene import Scene
+from cellsys.symbols.build import SymbolicSource, symbolic
 from cellsys.units import real_number
 
 AMPLITUDE = (0.4, 1.6)  # of training runs with turning commands

@@ -9,8 +9,8 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.design.target import Target
+from cellsys.effects.commands import Commands, History
 from cellsys.errors import DimensionError
-from cellsys.mechanics.commands import Commands, History
 from cellsys.scene.ensemble import run_scene
 from cellsys.scene.scene import Scene
 from cellsys.shown import Shown

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.errors import DimensionError, ParameterError
-from cellsys.population.symbolic_form import SymbolicLoop
+from cellsys.symbols.form import SymbolicLoop
 
 if TYPE_CHECKING:
     import casadi as ca

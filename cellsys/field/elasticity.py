@@ -12,12 +12,12 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from cellsys.effects.fibre_bending import BendingElement, bend_forces
+from cellsys.effects.matrix import MATRIX, FibreElement
+from cellsys.effects.protocol import Configuration
 from cellsys.errors import ParameterError, SceneError
+from cellsys.geometry.disc import StiffnessAssembly
 from cellsys.laws.sensing import fibre_ends, nodal_mean
-from cellsys.mechanics.effects.fibre_bending import BendingElement, bend_forces
-from cellsys.mechanics.effects.matrix import MATRIX, FibreElement
-from cellsys.mechanics.effects.protocol import Configuration
-from cellsys.mechanics.geometry.disc import StiffnessAssembly
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.trajectory import Trajectory
 

@@ -14,7 +14,7 @@ from cellsys.model.card import DIVERGED
 if TYPE_CHECKING:
     from cellsys.model.latent import LatentModel
     from cellsys.reduction.piecewise import PiecewiseModel
-    from cellsys.response.certainty import PoleCertainty
+    from cellsys.spectra.certainty import PoleCertainty
 
 COLOURS = {"PCR": "C0", "LeastSquares": "C1", "Equivariant": "C2"}
 

@@ -7,18 +7,18 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from cellsys.figures.axes import Pair, axes_of, labelled, unit_circle
-from cellsys.response.damping import DampingTable
 from cellsys.response.frequency import FrequencyResponse
-from cellsys.response.gramians import Gramian
 from cellsys.response.margins import Margins
-from cellsys.response.participation import Participation
-from cellsys.response.pseudospectra import Pseudospectra
 from cellsys.response.root_locus import RootLocus
-from cellsys.response.roots import RootSet
 from cellsys.response.sensitivity_functions import ErrorSystem, Sensitivity
-from cellsys.response.stability import StabilityReport
 from cellsys.response.timeresponse import TimeResponse
 from cellsys.response.truncation import BalancedTruncation
+from cellsys.spectra.damping import DampingTable
+from cellsys.spectra.gramians import Gramian
+from cellsys.spectra.participation import Participation
+from cellsys.spectra.pseudospectra import Pseudospectra
+from cellsys.spectra.roots import RootSet
+from cellsys.spectra.stability import StabilityReport
 
 
 def _lines(

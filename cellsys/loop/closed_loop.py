@@ -42,8 +42,8 @@ from cellsys.loop.modal import set_apart_text, split_slow
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.model.poles import KnowsCertainty
 from cellsys.model.sensor import StiffnessSensor
-from cellsys.response.realization import Realization
 from cellsys.samples.commands import feature_of
+from cellsys.spectra.realization import Realization
 from cellsys.state_space import state_space
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory

@@ -8,9 +8,9 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.errors import ParameterError
-from cellsys.response.certainty import PoleCertainty, side, widened
-from cellsys.response.realization import balancing
-from cellsys.response.spectrum import spectrum
+from cellsys.spectra.certainty import PoleCertainty, side, widened
+from cellsys.spectra.realization import balancing
+from cellsys.spectra.spectrum import spectrum
 
 
 def split_slow(

@@ -10,7 +10,7 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import DataError, ParameterError
-from cellsys.mechanics.geometry.surface import Mesh, Surface, contour, convex_triangles, gap
+from cellsys.geometry.surface import Mesh, Surface, contour, convex_triangles, gap
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.system import Event
 from cellsys.trajectory import Trajectory, cell_names
@@ -93,7 +93,7 @@ def edge_gap(run: Trajectory, first: str = "cell1", second: str = "cell2") -> np
 
     In space, of the two triangulated surfaces; of contours (see `Outline.of`) in their plane. 0
     at contact; where the cells overlap, minus how deep a point of both lies under either membrane
-    (nothing in the model may forbid it). The equation is that of `cellsys.mechanics.geometry.gap`.
+    (nothing in the model may forbid it). The equation is that of `cellsys.geometry.gap`.
 
     Raises
     ------

@@ -27,8 +27,8 @@ import scipy.sparse as sp
 
 from cellsys.arguments import checked
 from cellsys.errors import ParameterError, SceneError
+from cellsys.geometry.chain import MOST, Chain
 from cellsys.mechanics import crawler_kernels as kernels
-from cellsys.mechanics.geometry.chain import MOST, Chain
 from cellsys.system import Block, EventFunction, Layout, OdeSystem
 
 _Guard = Callable[[float, np.ndarray], float]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellsys.mechanics.compiled import compiled
+from cellsys.compiled import compiled
 
 LEAD, TRAIL, P_LEAD, P_TRAIL, ECM1, ECM2, D_ECM, D_CELL = range(8)
 ETA = 10  # auxiliaries of one cell

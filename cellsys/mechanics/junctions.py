@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from cellsys.bondgraph import BondElement, BondGraph, Internal, NodalEffort, One, R
-from cellsys.mechanics.compiled import compiled
-from cellsys.mechanics.effects.protocol import JunctionArray, Port
+from cellsys.compiled import compiled
+from cellsys.effects.protocol import JunctionArray, Port
 from cellsys.system import Block, Layout
 
 Place = tuple[slice, tuple[int, ...]]  # where a block lies, and its shape

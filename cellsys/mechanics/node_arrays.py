@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from cellsys.effects.commands import Commands
+from cellsys.effects.matrix import MATRIX, Drag
+from cellsys.effects.protocol import CellBody, Effect, Element, JunctionArray
 from cellsys.errors import SceneError
-from cellsys.mechanics.commands import Commands
-from cellsys.mechanics.effects.matrix import MATRIX, Drag
-from cellsys.mechanics.effects.protocol import CellBody, Effect, Element, JunctionArray
-from cellsys.mechanics.geometry.disc import Disc
+from cellsys.geometry.disc import Disc
 from cellsys.system import Block
 
 

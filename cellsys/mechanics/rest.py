@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sla
 
+from cellsys.effects.protocol import Configuration, Element, JunctionArray
 from cellsys.errors import SceneError
-from cellsys.mechanics.effects.protocol import Configuration, Element, JunctionArray
 
 _LEFT = 1e-11  # greatest force left, as a share of the greatest at the sphere
 _ROUNDING = 3e-10  # pN: what forces that cancel leave over is no load

@@ -14,22 +14,15 @@ from typing import ClassVar
 
 import numpy as np
 
+from cellsys.effects.matrix import Drag
+from cellsys.effects.protocol import Configuration, Effect, Element, JunctionArray, Site, Stiffness
+from cellsys.effects.tangent import combine
+from cellsys.geometry.disc import Disc
 from cellsys.laws.sensing import nodal_sum
 from cellsys.mechanics.cholesky import SparseCholesky
-from cellsys.mechanics.effects.matrix import Drag
-from cellsys.mechanics.effects.protocol import (
-    Configuration,
-    Effect,
-    Element,
-    JunctionArray,
-    Site,
-    Stiffness,
-)
-from cellsys.mechanics.geometry.disc import Disc
 from cellsys.mechanics.junctions import Place, junction_graph, place_of, product
 from cellsys.mechanics.node_arrays import CellSpec, held, node_arrays
 from cellsys.mechanics.rest import rested
-from cellsys.mechanics.tangent import combine
 from cellsys.overdamped import MajorantBlock, OverdampedSystem, RankOne
 from cellsys.system import Event, Layout
 
@@ -72,7 +65,7 @@ def build_spreading(
         )
         attach("cell", cell.effects, own)
         if any(effect.steers for effect in cell.effects.values()):
-            from cellsys.mechanics.effects.steering import polarity_element
+            from cellsys.effects.steering import polarity_element
 
             elements.append(polarity_element(replace(own, built=tuple(elements))))
     attach("cells", effects, whole)

@@ -18,9 +18,9 @@ from cellsys.model.plant import Offset, equilibrium, with_offset
 from cellsys.model.poles import certainty_of, continuous_poles, pole_set
 from cellsys.model.sensor import StiffnessSensor
 from cellsys.model.trained_range import Flag, TrainedRange
-from cellsys.response.certainty import PoleCertainty
-from cellsys.response.realization import Realization
-from cellsys.response.roots import RootSet
+from cellsys.spectra.certainty import PoleCertainty
+from cellsys.spectra.realization import Realization
+from cellsys.spectra.roots import RootSet
 from cellsys.state_space import state_space
 
 if TYPE_CHECKING:

@@ -9,15 +9,9 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.errors import ParameterError
-from cellsys.response.certainty import (
-    PoleCertainty,
-    data_note,
-    fastest,
-    spread_of,
-    widened,
-)
-from cellsys.response.roots import RootSet, poles_of
-from cellsys.response.spectrum import Spectrum, spectrum
+from cellsys.spectra.certainty import PoleCertainty, data_note, fastest, spread_of, widened
+from cellsys.spectra.roots import RootSet, poles_of
+from cellsys.spectra.spectrum import Spectrum, spectrum
 
 
 def _log(step: np.ndarray, dt: float) -> np.ndarray:

@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, ParameterError
-from cellsys.mechanics.geometry.membrane import enclosed_volume
+from cellsys.geometry.membrane import enclosed_volume
 from cellsys.observe.spreading import CONTACT_HEIGHT
 from cellsys.trajectory import Trajectory
 from cellsys.units import shaped_array

@@ -3,18 +3,17 @@
 from cellsys.population.couple import couple
 from cellsys.population.graph import InteractionGraph
 from cellsys.population.poleset import PoleSet
-from cellsys.population.ported.field_sensor import FieldSensor
-from cellsys.population.ported.footprint import LinearField, PatchPort
 from cellsys.population.ported.linear_cells import PortedCells
 from cellsys.population.ported.load_ports import LoadPorts
-from cellsys.population.ported.ports import CellPort, PortPassivity
 from cellsys.population.printed.cells import CoupledCells
 from cellsys.population.printed.forms import Feedback, MappedSuperposition, Superposition
 from cellsys.population.printed.interface import PrintedInterface, printed_interface
 from cellsys.population.printed.maps import ForceMap, P_c, P_F_phi, P_phi, fit_P_map
 from cellsys.population.printed.split import FieldSplit
-from cellsys.population.symbolic import symbolic
 from cellsys.population.verdict import CoupledStability
+from cellsys.ports.field_sensor import FieldSensor
+from cellsys.ports.footprint import LinearField, PatchPort
+from cellsys.ports.ports import CellPort, PortPassivity
 
 __all__ = [
     "CellPort",
@@ -40,5 +39,4 @@ __all__ = [
     "couple",
     "fit_P_map",
     "printed_interface",
-    "symbolic",
 ]

@@ -10,10 +10,10 @@ from cellsys.errors import ParameterError
 from cellsys.loop import PolarityLaw
 from cellsys.model import StiffnessSensor
 from cellsys.population.graph import InteractionGraph, check_positions
-from cellsys.population.ported.field_sensor import FieldSensor
-from cellsys.population.ported.ports import CellPort
 from cellsys.population.printed.forms import Superposition
 from cellsys.population.request import Coupling, CouplingRequest
+from cellsys.ports.field_sensor import FieldSensor
+from cellsys.ports.ports import CellPort
 from cellsys.units import real_array
 
 MOST_CELLS = 10**15  # counts of poles stay whole numbers in 64 bits

@@ -13,8 +13,8 @@ from cellsys.errors import DimensionError, ParameterError
 from cellsys.loop import PolarityLaw
 from cellsys.model import StiffnessSensor
 from cellsys.population.graph import InteractionGraph
-from cellsys.population.ported.capabilities import CellSensor
-from cellsys.population.ported.ports import CellPort
+from cellsys.ports.capabilities import CellSensor
+from cellsys.ports.ports import CellPort
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

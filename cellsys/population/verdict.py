@@ -14,10 +14,10 @@ from cellsys.drawable import Drawable
 from cellsys.errors import DataError
 from cellsys.population.poleset import PoleSet
 from cellsys.population.printed.printed_cells import PrintedCells
-from cellsys.response.certainty import PoleCertainty, side, widened
-from cellsys.response.integrators import apart_from, longest_chain, said_apart, set_apart
-from cellsys.response.realization import LARGEST, balancing
-from cellsys.response.spectrum import backward_error, spectrum
+from cellsys.spectra.certainty import PoleCertainty, side, widened
+from cellsys.spectra.integrators import apart_from, longest_chain, said_apart, set_apart
+from cellsys.spectra.realization import LARGEST, balancing
+from cellsys.spectra.spectrum import backward_error, spectrum
 
 
 @checked

@@ -18,7 +18,7 @@ from cellsys.reduction.selection import (
     select_model,
 )
 from cellsys.renamed import old_names
-from cellsys.response.certainty import PoleCertainty
+from cellsys.spectra.certainty import PoleCertainty
 
 __getattr__ = old_names(__name__)
 

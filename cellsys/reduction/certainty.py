@@ -18,8 +18,8 @@ from cellsys.errors import CellsysError, DataError, ParameterError
 from cellsys.kinds import kind_of
 from cellsys.model.poles import certainty_of
 from cellsys.reduction.basis import Basis, fit_basis, truncated
-from cellsys.response.certainty import PoleCertainty
 from cellsys.samples.snapshots import RunData, Snapshots
+from cellsys.spectra.certainty import PoleCertainty
 from cellsys.threads import one_thread
 
 GROUPS = 20

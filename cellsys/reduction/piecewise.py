@@ -24,8 +24,8 @@ from cellsys.model.trained_range import Flag, TrainedRange
 from cellsys.reduction.basis import Basis, ExactSVD, RandomisedSVD, fit_basis
 from cellsys.reduction.jacobian import linearised, rows_in, states_only
 from cellsys.reduction.regression import input_map, learned_model
-from cellsys.response.roots import RootSet
 from cellsys.samples.snapshots import Snapshots
+from cellsys.spectra.roots import RootSet
 from cellsys.system import OdeSystem
 from cellsys.units import shaped_array
 

@@ -5,24 +5,10 @@ by way of a polynomial, and `control` is only loaded where a result is handed ba
 """
 
 from cellsys.renamed import old_names
-from cellsys.response.damping import DampingTable, damping
 from cellsys.response.frequency import FrequencyResponse, frequency_response
-from cellsys.response.gramians import (
-    Gramian,
-    controllability_gramian,
-    hankel_singular_values,
-    observability_gramian,
-)
-from cellsys.response.integrators import Integrators
-from cellsys.response.lyapunov import LyapunovCertificate
 from cellsys.response.margins import Margins, margins
 from cellsys.response.norms import SystemNorm, h2_norm, hinf_norm, norm
-from cellsys.response.participation import Participation, participation
-from cellsys.response.poles import poles
-from cellsys.response.pseudospectra import Pseudospectra, pseudospectra, pseudospectral_abscissa
-from cellsys.response.realization import Realization, realization
 from cellsys.response.root_locus import RootLocus, root_locus
-from cellsys.response.roots import RootSet
 from cellsys.response.sampling import Tustin, ZeroOrderHold, c2d, d2c
 from cellsys.response.sensitivity_functions import (
     ErrorSystem,
@@ -30,7 +16,6 @@ from cellsys.response.sensitivity_functions import (
     error_system,
     sensitivity,
 )
-from cellsys.response.stability import StabilityReport, stability
 from cellsys.response.timeresponse import (
     TimeResponse,
     forced_response,
@@ -38,7 +23,28 @@ from cellsys.response.timeresponse import (
     step_response,
 )
 from cellsys.response.truncation import BalancedTruncation, balanced_truncation
-from cellsys.response.zeros import zeros
+from cellsys.spectra import (
+    DampingTable,
+    Gramian,
+    Integrators,
+    LyapunovCertificate,
+    Participation,
+    Pseudospectra,
+    Realization,
+    RootSet,
+    StabilityReport,
+    controllability_gramian,
+    damping,
+    hankel_singular_values,
+    observability_gramian,
+    participation,
+    poles,
+    pseudospectra,
+    pseudospectral_abscissa,
+    realization,
+    stability,
+    zeros,
+)
 
 __getattr__ = old_names(__name__)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cellsys.response.realization import EPS
+from cellsys.spectra.realization import EPS
 
 
 def find_roots(

@@ -13,9 +13,9 @@ import numpy as np
 
 from cellsys.response import grid
 from cellsys.response.brackets import find_roots
-from cellsys.response.decompositions.eigenvalues import eigenvalues_with_bounds
-from cellsys.response.decompositions.resolvent import s_plane
 from cellsys.response.eigenvalue_loci import Loci, Points
+from cellsys.spectra.eigenvalues import eigenvalues_with_bounds
+from cellsys.spectra.resolvent import s_plane
 
 _UNKNOWN = 0.05  # relative error beyond which a value says nothing: a pole or zero on the boundary
 _CUT = 1.83  # rad from the negative real axis, between 2 pi/4 and 2 pi/3: see `crossings`

@@ -9,9 +9,9 @@ import scipy.linalg as sla
 
 from cellsys.errors import DataError
 from cellsys.response import pencils
-from cellsys.response.decompositions.resolvent import Resolvent, s_plane
 from cellsys.response.eigenvalue_loci import Loci
-from cellsys.response.realization import Realization
+from cellsys.spectra.realization import Realization
+from cellsys.spectra.resolvent import Resolvent, s_plane
 
 _PEAKS = 8  # local maxima of the grid that are climbed
 _RTOL = 1e-9

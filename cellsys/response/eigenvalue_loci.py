@@ -12,10 +12,10 @@ from functools import cached_property
 import numpy as np
 
 from cellsys.response import grid, pencils
-from cellsys.response.decompositions.eigenvalues import eigenvalues_with_bounds, track
-from cellsys.response.decompositions.resolvent import Resolvent, s_plane
 from cellsys.response.phase import anchored, continuous_phase
-from cellsys.response.realization import Realization
+from cellsys.spectra.eigenvalues import eigenvalues_with_bounds, track
+from cellsys.spectra.realization import Realization
+from cellsys.spectra.resolvent import Resolvent, s_plane
 
 _DECADES = 40  # that a grid may be extended by at either end
 

@@ -13,9 +13,9 @@ from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.response import grid
-from cellsys.response.decompositions.resolvent import Resolvent, s_plane
 from cellsys.response.phase import anchored, continuous_phase
-from cellsys.response.realization import LARGEST, Realization, realization
+from cellsys.spectra.realization import LARGEST, Realization, realization
+from cellsys.spectra.resolvent import Resolvent, s_plane
 from cellsys.units import real_array
 
 if TYPE_CHECKING:

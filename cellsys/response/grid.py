@@ -8,8 +8,8 @@ import numpy as np
 import scipy.linalg as sla
 
 from cellsys.errors import MemoryBudgetError
-from cellsys.response.realization import EPS, Realization, balancing
-from cellsys.response.zeros import zero_values
+from cellsys.spectra.realization import EPS, Realization, balancing
+from cellsys.spectra.zeros import zero_values
 
 PER_DECADE = 40
 MOST = 20_000  # points of one grid

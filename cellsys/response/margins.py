@@ -16,8 +16,8 @@ from cellsys.response.crossings import crossings
 from cellsys.response.disk import disk_margin
 from cellsys.response.eigenvalue_loci import Loci
 from cellsys.response.frequency import check_omega
-from cellsys.response.integrators import MARGINAL, counted
-from cellsys.response.realization import EPS, Realization, balance, balancing, realization
+from cellsys.spectra.integrators import MARGINAL, counted
+from cellsys.spectra.realization import EPS, Realization, balance, balancing, realization
 
 
 @checked

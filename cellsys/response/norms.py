@@ -13,10 +13,10 @@ from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError
-from cellsys.response.decompositions.resolvent import Resolvent, s_plane
 from cellsys.response.frequency import FrequencyResponse, frequency_response
-from cellsys.response.gramians import factor, unscaled
-from cellsys.response.realization import Realization, balance, realization
+from cellsys.spectra.gramians import factor, unscaled
+from cellsys.spectra.realization import Realization, balance, realization
+from cellsys.spectra.resolvent import Resolvent, s_plane
 
 
 @checked

@@ -19,8 +19,8 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 import scipy.linalg as sla
 
-from cellsys.response.gramians import unscaled
-from cellsys.response.realization import Realization, balance
+from cellsys.spectra.gramians import unscaled
+from cellsys.spectra.realization import Realization, balance
 
 MOST_ROWS = 300  # of a pencil; above, it costs more than the grid
 _NEAR = 0.02  # distance from the boundary, relative to the frequency, that rounding may explain

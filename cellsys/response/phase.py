@@ -15,9 +15,9 @@ import numpy as np
 
 from cellsys.errors import MemoryBudgetError
 from cellsys.response import grid
-from cellsys.response.decompositions.resolvent import Resolvent, s_plane
-from cellsys.response.realization import Realization
-from cellsys.response.zeros import zero_values
+from cellsys.spectra.realization import Realization
+from cellsys.spectra.resolvent import Resolvent, s_plane
+from cellsys.spectra.zeros import zero_values
 
 _SHARP = 1e-7  # damping ratio below which a root counts as on the boundary
 _DECADES = 4  # below the grid that the asymptote is looked for

@@ -14,9 +14,9 @@ from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem, StateSpaceLike, TransferFunctionLike
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.response.decompositions.eigenvalues import track
-from cellsys.response.realization import balancing, realization
-from cellsys.response.zeros import zeros
+from cellsys.spectra.eigenvalues import track
+from cellsys.spectra.realization import balancing, realization
+from cellsys.spectra.zeros import zeros
 
 
 @checked

@@ -12,7 +12,7 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem
 from cellsys.errors import ParameterError
-from cellsys.response.realization import EPS, Realization, balancing, realization
+from cellsys.spectra.realization import EPS, Realization, balancing, realization
 from cellsys.units import real_number
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.response.frequency import FrequencyResponse, frequency_response
 from cellsys.response.norms import SystemNorm, h2_norm, hinf_norm
-from cellsys.response.realization import Realization, realization, same_time
+from cellsys.spectra.realization import Realization, realization, same_time
 
 
 @checked

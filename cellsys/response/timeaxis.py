@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg as sla
 
-from cellsys.response.realization import EPS, Realization, balance
+from cellsys.spectra.realization import EPS, Realization, balance
 
 _CONSTANTS = 7.0  # time constants until a mode counts as gone: exp(-7) = 1e-3
 _PERIODS = 10.0  # that an undamped oscillation is shown for

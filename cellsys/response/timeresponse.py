@@ -12,9 +12,9 @@ from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.response.realization import EPS, Realization, realization
 from cellsys.response.sampling import exponential
 from cellsys.response.timeaxis import automatic_times
+from cellsys.spectra.realization import EPS, Realization, realization
 from cellsys.units import real_array
 
 

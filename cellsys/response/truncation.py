@@ -12,8 +12,8 @@ from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError, RankError
-from cellsys.response.gramians import factors, require_stable, unscaled
-from cellsys.response.realization import EPS, Realization, balance, realization
+from cellsys.spectra.gramians import factors, require_stable, unscaled
+from cellsys.spectra.realization import EPS, Realization, balance, realization
 
 
 @checked

@@ -18,9 +18,9 @@ from pydantic import Field, create_model
 from cellsys.arguments import checked
 from cellsys.drawable import draw_by
 from cellsys.errors import ParameterError, SceneError
+from cellsys.geometry.chain import Chain
 from cellsys.integrate.scipy_methods import LSODA
 from cellsys.mechanics.crawler import Crawler, CrawlerSystem, build_crawlers, check_places
-from cellsys.mechanics.geometry.chain import Chain
 from cellsys.scene.headings import S
 from cellsys.scene.memory import ADDRESSES, MOST_NODES, PROGRAM, MemoryNeed, kept
 from cellsys.scene.plan import ScenePlan

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from cellsys.effects.protocol import Effect
 from cellsys.errors import SceneError
-from cellsys.mechanics.effects.protocol import Effect
 
 
 def check_effects(

@@ -9,7 +9,7 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.errors import SceneError
-from cellsys.mechanics.geometry.disc import DENSITY, Disc, disc
+from cellsys.geometry.disc import DENSITY, Disc, disc
 from cellsys.scene.memory import plane_words
 from cellsys.scene.parts import CellScene, Gradient, Inclusion
 from cellsys.scene.plan import ScenePlan

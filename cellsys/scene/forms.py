@@ -19,10 +19,10 @@ from typing import Any, Literal, NamedTuple
 from pydantic import BaseModel, create_model
 
 from cellsys.contracts import MatrixKind
+from cellsys.effects.commands import Commands, History
+from cellsys.effects.protocol import Effect
 from cellsys.errors import ParameterError, SceneError
 from cellsys.kinds import parts_of
-from cellsys.mechanics.commands import Commands, History
-from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.chain import ChainScene, ChainSceneTable, chain_parts
 from cellsys.scene.disc import MatrixScene
 from cellsys.scene.parts import CellScene, Gradient, Inclusion, Training

@@ -8,9 +8,9 @@ from typing import TypeVar
 
 import numpy as np
 
+from cellsys.effects.commands import Commands, History
+from cellsys.effects.protocol import Effect
 from cellsys.errors import ParameterError
-from cellsys.mechanics.commands import Commands, History
-from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.parts import Training
 from cellsys.scene.plan import ScenePlan
 from cellsys.scene.registry import EFFECTS

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from cellsys.arguments import checked
+from cellsys.effects.commands import Commands, History
+from cellsys.effects.protocol import Effect
 from cellsys.errors import ParameterError, SceneError
-from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.crawler import Crawler
-from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.forms import forms
 from cellsys.scene.inherit import find_scene, read_table
 from cellsys.scene.parts import CellScene, Training

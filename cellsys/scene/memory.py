@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from cellsys.errors import MemoryBudgetError
+from cellsys.geometry.membrane import NODES
 from cellsys.integrate.simulate import SEGMENT
-from cellsys.mechanics.geometry.membrane import NODES
 from cellsys.scene.plan import ScenePlan
 from cellsys.store.memory import check_memory, mapping_room, resident, size_text
 

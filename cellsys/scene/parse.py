@@ -12,8 +12,8 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from cellsys.arguments import checked
+from cellsys.effects.protocol import Effect
 from cellsys.errors import CellsysError, ParameterError, SceneError
-from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.forms import Form, forms
 from cellsys.scene.inherit import inherited
 from cellsys.scene.registry import Registry

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cellsys.arguments import checked
+from cellsys.effects.commands import Commands
+from cellsys.effects.protocol import Effect
 from cellsys.errors import SceneError
-from cellsys.mechanics.commands import Commands
-from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.sampling import intervals
 
 

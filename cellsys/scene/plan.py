@@ -9,9 +9,9 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from cellsys.contracts import MatrixKind
-from cellsys.mechanics.commands import Commands
+from cellsys.effects.commands import Commands
+from cellsys.effects.protocol import Effect
 from cellsys.mechanics.crawler import Crawler
-from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.parts import CellScene, Training
 
 Cell = CellScene | Crawler

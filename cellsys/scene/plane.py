@@ -8,12 +8,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from cellsys.drawable import draw_by
+from cellsys.effects.matrix import Drag
+from cellsys.effects.protocol import CellBody, Effect, check_parameters
 from cellsys.errors import SceneError
+from cellsys.geometry.disc import Disc
+from cellsys.geometry.membrane import sphere
 from cellsys.mechanics.crawler import Crawler
-from cellsys.mechanics.effects.matrix import Drag
-from cellsys.mechanics.effects.protocol import CellBody, Effect, check_parameters
-from cellsys.mechanics.geometry.disc import Disc
-from cellsys.mechanics.geometry.membrane import sphere
 from cellsys.mechanics.spreading import CellSpec, SpreadingSystem, build_spreading
 from cellsys.scene.compatibility import check_effects
 from cellsys.scene.headings import S, heading_scenes, turning
@@ -33,7 +33,7 @@ _RADIUS = (0.01, 1e3)
 class Plane:
     """What every matrix under cells with a membrane has, a `MatrixKind` but for its network.
 
-    A matrix of your own is a frozen dataclass of parameters (`cellsys.mechanics.effects.parameter`)
+    A matrix of your own is a frozen dataclass of parameters (`cellsys.effects.parameter`)
     that derives from this one, with a `kind` of its own, `network`, and `outside` where cells may
     not stand everywhere.
     """

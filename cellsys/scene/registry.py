@@ -19,12 +19,12 @@ from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
 
+from cellsys.effects.protocol import Effect
 from cellsys.errors import ParameterError
-from cellsys.mechanics.effects.protocol import Effect
 from cellsys.store.hashing import fingerprint
 
 GROUP = "cellsys.effects"
-_HOME = "cellsys.mechanics.effects."
+_HOME = "cellsys.effects."
 _MATRICES = "cellsys.scene."
 
 # In the order in which their elements are attached, which is the order of the auxiliaries.

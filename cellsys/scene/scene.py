@@ -13,11 +13,11 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.contracts import MatrixKind
+from cellsys.effects.commands import Commands, History
+from cellsys.effects.protocol import Effect
 from cellsys.errors import CellsysError, SceneError
 from cellsys.kinds import Seed
-from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.crawler import Crawler
-from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.parse import scene_fields
 from cellsys.scene.parts import CellScene, Training
 from cellsys.scene.plan import Kind

@@ -21,9 +21,9 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
+from cellsys.effects.commands import History
+from cellsys.effects.protocol import Effect
 from cellsys.kinds import shown
-from cellsys.mechanics.commands import History
-from cellsys.mechanics.effects.protocol import Effect
 from cellsys.scene.steppers import STEPPERS
 from cellsys.units import quantity
 

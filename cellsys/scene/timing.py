@@ -14,11 +14,11 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 
 from cellsys.arguments import checked
+from cellsys.effects.protocol import Configuration, Element, Stiffness
 from cellsys.integrate.linearly_implicit import LinearlyImplicit
 from cellsys.integrate.simulate import simulate
 from cellsys.integrate.stepping import Stepper
 from cellsys.kinds import Count, Seed
-from cellsys.mechanics.effects.protocol import Configuration, Element, Stiffness
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.system import OdeSystem
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from cellsys.cell import Equivariant, EquivariantModel, with_matrix
 from cellsys.cell.records import read_records
+from cellsys.effects.steering import Polarity
 from cellsys.errors import (
     CellsysError,
     DataError,
@@ -20,7 +21,6 @@ from cellsys.errors import (
 )
 from cellsys.field import GalerkinField
 from cellsys.loop import PolarityLaw, ScheduledLoop, closed_loop
-from cellsys.mechanics.effects.steering import Polarity
 from cellsys.model import LatentModel
 from cellsys.model.card import card_of
 from cellsys.observe import heading_error_deg

@@ -9,7 +9,7 @@ import numpy as np
 
 from cellsys.cell import EquivariantModel, realisation_floor
 from cellsys.cell.records import read_records
-from cellsys.mechanics.commands import Commands
+from cellsys.effects.commands import Commands
 from cellsys.samples import snapshots
 from cellsys.scene import Scene
 from cellsys.trajectory import Trajectory, cell_names

@@ -9,11 +9,11 @@ import numpy as np
 from cellsys.accuracy.measures import motion, relative
 from cellsys.cell import EquivariantModel
 from cellsys.contracts import LinearModel
+from cellsys.effects.commands import Commands
+from cellsys.effects.steering import Polarity, StiffnessSensing
 from cellsys.errors import ParameterError
 from cellsys.field import full_field
 from cellsys.loop import PolarityLaw
-from cellsys.mechanics.commands import Commands
-from cellsys.mechanics.effects.steering import Polarity, StiffnessSensing
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.observe import heading_error_deg
 from cellsys.population import FieldSensor, LoadPorts, couple

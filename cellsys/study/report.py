@@ -24,7 +24,7 @@ from cellsys.figures import (
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.model.card import card_of
 from cellsys.observe.tractions import traction_ports, tractions
-from cellsys.response.certainty import side
+from cellsys.spectra.certainty import side
 from cellsys.store import write_text
 from cellsys.study.fields import draw_displacement
 from cellsys.study.html import STYLE, image, table

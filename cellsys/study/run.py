@@ -12,21 +12,22 @@ import numpy as np
 
 from cellsys.arguments import checked
 from cellsys.contracts import LinearModel, ReducedModel
+from cellsys.effects.steering import Polarity
 from cellsys.errors import CellsysError, ParameterError, RankError
 from cellsys.integrate import CVODES
 from cellsys.loop import ClosedLoop, Linearisation, PolarityLaw, closed_loop
-from cellsys.mechanics.effects.steering import Polarity
 from cellsys.mechanics.spreading import SpreadingSystem
 from cellsys.model import LatentModel
 from cellsys.model.card import card_of
 from cellsys.observe import heading_error_deg, pulling, summary_of_run
 from cellsys.reduction import PCR, LeastSquares
 from cellsys.reduction.basis import check_order
-from cellsys.response import Margins, margins, stability
+from cellsys.response import Margins, margins
 from cellsys.samples import Snapshots, snapshots
 from cellsys.scene import Scene, build, load_scene, run_ensemble, training_scenes
 from cellsys.scene.build import spreading
 from cellsys.scene.ensemble import run_name
+from cellsys.spectra import stability
 from cellsys.store import discard_partial, fingerprint, write_json
 from cellsys.store.cache import MODELS, cache_folder, prune, touch
 from cellsys.study.coordinates import learn_coordinates

@@ -7,7 +7,7 @@ import cellsys as cs
 from cellsys.cell.charges import TOP, pack, turn, unpack
 from cellsys.cell.port import PortSites
 from cellsys.cell.shape import ShapeBasis, harmonics
-from cellsys.mechanics.geometry.membrane import sphere
+from cellsys.geometry.membrane import sphere
 
 RNG = np.random.default_rng(5)
 

@@ -6,16 +6,9 @@ import pytest
 import scipy.linalg as sla
 
 from cellsys.population import Superposition, couple
-from cellsys.response import (
-    balanced_truncation,
-    damping,
-    frequency_response,
-    margins,
-    poles,
-    stability,
-    step_response,
-)
-from cellsys.response.integrators import MARGINAL
+from cellsys.response import balanced_truncation, frequency_response, margins, step_response
+from cellsys.spectra import damping, poles, stability
+from cellsys.spectra.integrators import MARGINAL
 from cellsys.system import OdeSystem
 from tests import naive
 from tests.hard.stress import SEED, Case, Choice, Int, Power, Real, hold

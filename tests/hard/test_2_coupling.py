@@ -15,7 +15,7 @@ from cellsys.population import (
     Superposition,
     couple,
 )
-from cellsys.response import poles, stability
+from cellsys.spectra import poles, stability
 from tests import naive
 from tests.hard.stress import SEED, Case, Choice, Int, Power, Real, hold
 from tests.population.systems import match, model

@@ -9,10 +9,10 @@ import pytest
 import scipy.optimize as so
 from scipy.spatial.transform import Rotation
 
-from cellsys.mechanics.geometry.membrane import sphere
-from cellsys.mechanics.geometry.surface import Mesh, contour, gap
+from cellsys.geometry.membrane import sphere
+from cellsys.geometry.surface import Mesh, contour, gap
+from tests.geometry.test_surface import bumpy, gap_of_ellipses, sampled_gap
 from tests.hard.stress import SEED, Case, Choice, Real, hold
-from tests.mechanics.test_surface import bumpy, gap_of_ellipses, sampled_gap
 from tests.naive_mechanics import gap_along_centres
 
 BALL = sphere(1.0, (0.0, 0.0, 0.0), 300)

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cellsys.effects.adhesion import FocalAdhesion
 from cellsys.errors import IntegrationError
+from cellsys.geometry.membrane import enclosed_volume
 from cellsys.integrate import ExplicitEuler, LinearlyImplicit, simulate, stability_limit
 from cellsys.integrate.record import record_shapes
-from cellsys.mechanics.effects.adhesion import FocalAdhesion
-from cellsys.mechanics.geometry.membrane import enclosed_volume
 from cellsys.scene import Scene, build, load_scene
 from cellsys.store import RunWriter
 from tests.mechanics.scenes import small, table

@@ -14,7 +14,7 @@ from cellsys.loop import PolarityLaw, closed_loop
 from cellsys.loop.modal import split_slow
 from cellsys.model import LatentModel, StiffnessSensor
 from cellsys.response import margins
-from cellsys.response.certainty import PoleCertainty
+from cellsys.spectra.certainty import PoleCertainty
 from tests import naive
 from tests.loop.systems import NAMES, heading, make, two_state
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.geometry.membrane import sphere
 from cellsys.laws.lamellipodium import protrusion
 from cellsys.loop import MPol
-from cellsys.mechanics.geometry.membrane import sphere
 from tests import naive
 
 SHAPE = {"height": 3.0, "edge": 0.5, "full": 0.9, "downward": 0.1}

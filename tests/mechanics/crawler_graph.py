@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from cellsys.bondgraph import BondElement, BondGraph, C, I, One, R, Zero
+from cellsys.geometry.chain import Chain
 from cellsys.mechanics.crawler import Crawler
-from cellsys.mechanics.geometry.chain import Chain
 
 
 def crawler_graph(

@@ -6,8 +6,8 @@ compared with the gradient to rounding. Branches look at real parts.
 
 import numpy as np
 
-from cellsys.mechanics.effects.fibre_bending import straight_pairs
-from cellsys.mechanics.geometry.surface_kernels import closest_on_triangle
+from cellsys.effects.fibre_bending import straight_pairs
+from cellsys.geometry.surface_kernels import closest_on_triangle
 
 
 def norm(d, soft):

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cellsys.effects import protrusion_kernels
+from cellsys.effects.footing import SurfaceBins
 from cellsys.errors import SceneError
+from cellsys.geometry.membrane import enclosed_volume
 from cellsys.integrate import LinearlyImplicit, simulate
 from cellsys.laws.clutch import reinforced_rate
 from cellsys.laws.lamellipodium import protrusion
-from cellsys.mechanics import protrusion_kernels
-from cellsys.mechanics.effects.footing import SurfaceBins
-from cellsys.mechanics.geometry.membrane import enclosed_volume
 from cellsys.observe import tractions
 from cellsys.scene import Scene, build, load_scene
 from cellsys.scene.listing import effect_list

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from cellsys.errors import DimensionError, ParameterError, SceneError
+from cellsys.geometry.chain import Chain
 from cellsys.integrate import DOP853, LSODA, Radau, simulate
 from cellsys.mechanics.crawler import Crawler, build_crawlers
 from cellsys.mechanics.crawler_run import crawl
-from cellsys.mechanics.geometry.chain import Chain
 from tests.mechanics.crawler_graph import crawler_graph, graph_state
 from tests.naive import fixed_step_crawler
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cellsys.mechanics.effects.matrix import FibreElement
-from cellsys.mechanics.effects.protocol import Element
+from cellsys.effects.matrix import FibreElement
+from cellsys.effects.protocol import Element
 from tests.mechanics.scenes import clutch, disturbed, element, force, small, switching
 
 STATES = {"cell1": "cell1.position", "matrix": "matrix.displacement"}
@@ -183,8 +183,7 @@ def test_absent_effects_have_no_states_and_no_columns():
 
 
 def test_absent_effects_are_never_called(monkeypatch):
-    from cellsys.mechanics import clutch_kernels
-    from cellsys.mechanics.effects import steering, switching
+    from cellsys.effects import clutch_kernels, steering, switching
 
     def refuse(*args):
         raise RuntimeError("the law of an absent effect was called")

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.bondgraph import BondGraph, One, R
-from cellsys.mechanics.effects.protocol import Port
+from cellsys.effects.protocol import Port
 from cellsys.mechanics.junctions import JunctionArray, junction_graph
 from cellsys.scene import build, load_scene
 from cellsys.system import Block

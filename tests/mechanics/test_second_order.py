@@ -5,10 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from cellsys.effects.clutch import ClutchElement
+from cellsys.effects.protocol import Element
+from cellsys.effects.steering import PolarityElement
 from cellsys.integrate import BDF2, DOP853, simulate
-from cellsys.mechanics.effects.clutch import ClutchElement
-from cellsys.mechanics.effects.protocol import Element
-from cellsys.mechanics.effects.steering import PolarityElement
 from tests.mechanics.scenes import small
 
 END = np.array([0.0, 2.0])

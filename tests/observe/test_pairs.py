@@ -9,8 +9,8 @@ import scipy.optimize as so
 
 import cellsys as cs
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.geometry.membrane import sphere
 from cellsys.mechanics.contact import touching
-from cellsys.mechanics.geometry.membrane import sphere
 from cellsys.observe import (
     alone_scenes,
     attenuation_length,

@@ -19,7 +19,7 @@ from cellsys.field import GalerkinField
 from cellsys.loop import PolarityLaw
 from cellsys.model import StiffnessSensor
 from cellsys.population import Feedback, LoadPorts, Superposition, couple
-from cellsys.population.ported.polar import frozen_port, polar_gather
+from cellsys.ports.polar import frozen_port, polar_gather
 from cellsys.system import Layout
 from tests.cell.refined import reading, refined
 from tests.cell.runs import scene

@@ -10,7 +10,7 @@ import cellsys as cs
 from cellsys.errors import ParameterError
 from cellsys.model.network_sensor import LocalSensor, StiffnessMap
 from cellsys.population import FieldSensor, LoadPorts, couple
-from cellsys.population.ported.field_sensor import standing_on
+from cellsys.ports.field_sensor import standing_on
 from tests.cell.runs import model as trained
 from tests.cell.runs import scene
 from tests.population.test_equivariant_cells import PAIR, model

@@ -21,8 +21,8 @@ from cellsys.population import (
     Superposition,
     couple,
 )
-from cellsys.response import poles, spectrum, stability
-from cellsys.response.integrators import MARGINAL
+from cellsys.spectra import poles, spectrum, stability
+from cellsys.spectra.integrators import MARGINAL
 from tests.naive import dense_coupled_poles, kronecker_coupling
 from tests.population.systems import match, model
 

@@ -18,7 +18,7 @@ from cellsys.loop import PolarityLaw
 from cellsys.model import StiffnessSensor
 from cellsys.population import CellPort, LinearField, LoadPorts, PatchPort, couple
 from cellsys.population.ported.ported_run import PortedSteps, PortFlow, initial, ported_loop
-from cellsys.response import poles
+from cellsys.spectra import poles
 from tests.population.systems import HEADINGS, match, model
 
 PORT = PatchPort(radius=9.0)

@@ -8,7 +8,8 @@ import pytest
 import scipy.sparse as sp
 
 from cellsys.errors import DataError, DimensionError, MemoryBudgetError, ParameterError
-from cellsys.response import Realization, frequency_response, poles
+from cellsys.response import Realization, frequency_response
+from cellsys.spectra import poles
 from tests.response import gallery
 
 

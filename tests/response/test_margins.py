@@ -9,7 +9,8 @@ import scipy.linalg as sla
 from scipy.optimize import brentq
 
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.response import margins, poles, root_locus, zeros
+from cellsys.response import margins, root_locus
+from cellsys.spectra import poles, zeros
 from tests import naive
 from tests.response.gallery import lag_chain, mass_spring
 

@@ -19,7 +19,7 @@ from cellsys.response import (
     norm,
     observability_gramian,
 )
-from cellsys.response.lyapunov import lyapunov
+from cellsys.spectra.lyapunov import lyapunov
 from tests.response import gallery
 
 LAPACK = 30 * np.finfo(float).eps  # residual threshold of LAPACK's tests, times n

@@ -18,12 +18,11 @@ from cellsys.response import (
     frequency_response,
     impulse_response,
     margins,
-    participation,
-    poles,
     root_locus,
     sensitivity,
     step_response,
 )
+from cellsys.spectra import participation, poles
 from tests.response import gallery
 
 S = ct.tf("s")

@@ -9,8 +9,8 @@ import pytest
 
 from cellsys.errors import CellsysError, DataError, DimensionError, FileFormatError, ParameterError
 from cellsys.reduction import LeastSquares, reduce
-from cellsys.response import poles
 from cellsys.samples import snapshots
+from cellsys.spectra import poles
 from tests import naive_files
 
 T = np.arange(40) * 0.5

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import cellsys as cs
+from cellsys.effects.commands import Commands, History
 from cellsys.errors import IntegrationError, MemoryBudgetError, SceneError
+from cellsys.geometry.chain import Chain
 from cellsys.integrate import LSODA, Radau
-from cellsys.mechanics.commands import Commands, History
 from cellsys.mechanics.crawler import Crawler, build_crawlers
-from cellsys.mechanics.geometry.chain import Chain
 from cellsys.samples import snapshots
 from cellsys.scene import CellScene, ChainScene, Scene, build, run_ensemble, run_scene
 from cellsys.scene.ensemble import read_run

@@ -9,9 +9,9 @@ import pytest
 
 import cellsys as cs
 from cellsys.contracts import MatrixKind, needs
+from cellsys.effects import parameter
 from cellsys.errors import ParameterError, SceneError
-from cellsys.mechanics.effects import parameter
-from cellsys.mechanics.geometry.disc import Disc, connect
+from cellsys.geometry.disc import Disc, connect
 from cellsys.scene import CellScene, ChainScene, MatrixScene, Plane, Scene
 from cellsys.scene.ensemble import read_run
 from cellsys.scene.load import scene_from_plain

@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import cellsys as cs
+from cellsys.effects import Effect, Element, Port, parameter
 from cellsys.errors import CellsysError, ParameterError, SceneError
-from cellsys.mechanics.effects import Effect, Element, Port, parameter
 from cellsys.scene import Scene, build, load_scene, preset_names, scene_schema
 from cellsys.scene.inherit import PRESETS
 from cellsys.scene.load import scene_from_plain
@@ -108,7 +108,7 @@ def test_an_installed_package_adds_an_effect(tmp_path, monkeypatch):
     """A real distribution on the path: metadata with an entry point, a module with the class."""
     (tmp_path / "windy.py").write_text(
         "from dataclasses import dataclass\n"
-        "from cellsys.mechanics.effects import Effect, parameter\n"
+        "from cellsys.effects import Effect, parameter\n"
         "@dataclass(frozen=True)\n"
         "class Breeze(Effect):\n"
         "    '''A breeze.'''\n"

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cellsys.effects.protocol import Element
 from cellsys.errors import CellsysError, MemoryBudgetError, SceneError
-from cellsys.mechanics.effects.protocol import Element
 from cellsys.scene import Scene, build, load_scene, run_scene, scene_schema, training_scenes
 from cellsys.scene.load import scene_from_plain
 from cellsys.scene.registry import EFFECTS

@@ -17,9 +17,9 @@ from cellsys.reduction import (
     pole_certainty,
     reduce,
 )
-from cellsys.response import damping, stability
-from cellsys.response import poles as cs_poles
 from cellsys.samples import RunData, snapshots
+from cellsys.spectra import damping, stability
+from cellsys.spectra import poles as cs_poles
 from cellsys.worth.assessment import baselines, mean_motion
 from tests.reduction.systems import one_step_data, state_data
 

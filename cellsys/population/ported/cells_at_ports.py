@@ -10,7 +10,7 @@ from cellsys.contracts import Cells
 from cellsys.loop import PolarityLaw
 from cellsys.population.poleset import PoleSet
 from cellsys.population.ported.placement import Placement
-from cellsys.population.ported.ports import CellPort
+from cellsys.ports.ports import CellPort
 
 
 class CellsAtPorts(Cells, Protocol):

@@ -19,9 +19,9 @@ import numpy as np
 from cellsys.loop import PolarityLaw
 from cellsys.model.sensor_block import latent_names, vector_names
 from cellsys.population.headings import turn
-from cellsys.population.ported.capabilities import FieldReader
 from cellsys.population.ported.equivariant_system import EquivariantSystem
 from cellsys.population.signals import cell_prefixes
+from cellsys.ports.capabilities import FieldReader
 from cellsys.state_space import block, joined
 
 if TYPE_CHECKING:

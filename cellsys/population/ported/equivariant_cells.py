@@ -17,21 +17,21 @@ from cellsys.cell.on_field import CellsOnField
 from cellsys.contracts import Integrator
 from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError, ParameterError
+from cellsys.geometry.surface import convex_triangles
 from cellsys.integrate.record import check_times
 from cellsys.integrate.simulate import simulate
 from cellsys.integrate.step_runs import marks_of, refuse_integrator
 from cellsys.loop import PolarityLaw
 from cellsys.loop.loop_system import model_error
-from cellsys.mechanics.geometry.surface import convex_triangles
 from cellsys.population.poleset import PoleSet
-from cellsys.population.ported.capabilities import CellSensor, steps_itself
 from cellsys.population.ported.diagram import field_diagram, leaping_start
 from cellsys.population.ported.equivariant_system import EquivariantSystem
 from cellsys.population.ported.linear_cells import PortedCells
 from cellsys.population.ported.placement import Placement
 from cellsys.population.ported.plant import moving_plant
-from cellsys.population.ported.polar import frozen_port, polar_gather
 from cellsys.population.verdict import CoupledStability
+from cellsys.ports.capabilities import CellSensor, steps_itself
+from cellsys.ports.polar import frozen_port, polar_gather
 from cellsys.system import Block, Layout
 from cellsys.trajectory import Trajectory
 

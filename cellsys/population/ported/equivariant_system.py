@@ -19,7 +19,7 @@ from cellsys.integrate.step_runs import StepRun
 from cellsys.loop import PolarityLaw
 from cellsys.loop.substeps import SUBSTEPS, headings_inside
 from cellsys.population.headings import turn
-from cellsys.population.ported.capabilities import CellSensor, FieldReader
+from cellsys.ports.capabilities import CellSensor, FieldReader
 from cellsys.system import Block, Event, Layout
 
 

@@ -16,17 +16,13 @@ from cellsys.errors import MemoryBudgetError, ParameterError
 from cellsys.loop import PolarityLaw
 from cellsys.population.headings import steering
 from cellsys.population.poleset import PoleSet, pole_set
-from cellsys.population.ported.footprint import (
-    RestPassivity,
-    dense_stiffness,
-    field_passivity,
-)
 from cellsys.population.ported.placement import Placement
 from cellsys.population.ported.plant import linear_plant
-from cellsys.population.ported.ports import CellPort, PortPassivity
 from cellsys.population.verdict import CoupledStability, judge
-from cellsys.response.integrators import apart_from, said_apart
+from cellsys.ports.footprint import RestPassivity, dense_stiffness, field_passivity
+from cellsys.ports.ports import CellPort, PortPassivity
 from cellsys.shown import Shown
+from cellsys.spectra.integrators import apart_from, said_apart
 from cellsys.trajectory import Trajectory
 
 if TYPE_CHECKING:

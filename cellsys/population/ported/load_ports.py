@@ -22,14 +22,14 @@ from cellsys.contracts import LoadPort as LoadPort  # what the inherited __init_
 from cellsys.contracts import MatrixField as MatrixField
 from cellsys.errors import DimensionError, ParameterError, RepresentationError
 from cellsys.kinds import Filled as Filled
-from cellsys.population.ported.capabilities import CellSensor
 from cellsys.population.ported.equivariant_cells import EquivariantCells
-from cellsys.population.ported.field_sensor import standing_on
-from cellsys.population.ported.footprint import PatchPort
 from cellsys.population.ported.linear_cells import PortedCells
 from cellsys.population.ported.placement import Placement
-from cellsys.population.ported.ports import CellPort
 from cellsys.population.request import CouplingRequest
+from cellsys.ports.capabilities import CellSensor
+from cellsys.ports.field_sensor import standing_on
+from cellsys.ports.footprint import PatchPort
+from cellsys.ports.ports import CellPort
 
 
 @checked

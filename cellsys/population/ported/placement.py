@@ -12,7 +12,7 @@ from cellsys.contracts import LoadPort, MatrixField
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.kinds import FILLED, Filled
 from cellsys.population.graph import check_positions
-from cellsys.population.ported.ports import PortPassivity
+from cellsys.ports.ports import PortPassivity
 from cellsys.units import real_array
 
 

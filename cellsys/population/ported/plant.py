@@ -15,10 +15,10 @@ from cellsys.contracts import MatrixField
 from cellsys.errors import DimensionError, ParameterError
 from cellsys.model.plant import ONE
 from cellsys.model.sensor_block import latent_names, vector_names
-from cellsys.population.ported.capabilities import ModalField
 from cellsys.population.ported.placement import Placement
-from cellsys.population.ported.ports import CellPort
 from cellsys.population.signals import Constant, cell_prefixes, check_offset, command_names
+from cellsys.ports.capabilities import ModalField
+from cellsys.ports.ports import CellPort
 from cellsys.samples.commands import feature_of, harmonic
 from cellsys.state_space import state_space
 from cellsys.system import is_sparse

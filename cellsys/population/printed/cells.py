@@ -43,7 +43,7 @@ from cellsys.population.printed.simulation import run
 from cellsys.population.printed.split import FieldSplit, field_split
 from cellsys.population.printed.system import CoupledSystem, coupled_system, rightmost_poles
 from cellsys.population.verdict import CoupledStability, stability_of
-from cellsys.response.certainty import PoleCertainty
+from cellsys.spectra.certainty import PoleCertainty
 from cellsys.trajectory import Trajectory
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import scipy.linalg as sla
 
 from cellsys.errors import ParameterError
 from cellsys.model import LatentModel
-from cellsys.response.certainty import PoleCertainty, spread_of
+from cellsys.spectra.certainty import PoleCertainty, spread_of
 
 _MOST = 1e9  # sum of n^3 over all refitted blocks: about twenty seconds of eigenvalues
 

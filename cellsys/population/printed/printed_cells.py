@@ -14,7 +14,7 @@ from cellsys.population.poleset import PoleSet
 from cellsys.population.printed.blocks import ModeBlock, PrintedForm
 from cellsys.population.printed.modes import Modes
 from cellsys.population.printed.split import FieldSplit
-from cellsys.response.certainty import PoleCertainty
+from cellsys.spectra.certainty import PoleCertainty
 
 
 class PrintedCells(Cells, Protocol):

@@ -1,1 +1,0 @@
-"""Eigenvalues, triangular and Hessenberg forms, singular values, and the solves that use them."""
