@@ -9,52 +9,26 @@ import numpy as np
 
 from cellsys.effects.commands import History
 from cellsys.effects.matrix import MATRIX
-from cellsys.effects.protocol import Configuration, Effect, Element, Port, Site, parameter
+from cellsys.effects.patch import MatrixPatch
+from cellsys.effects.protocol import Configuration, Element, Port, Site, parameter
 from cellsys.errors import SceneError
 from cellsys.geometry.disc import Disc
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExternalLoad(Effect):
+class ExternalLoad(MatrixPatch):
     """A force history spread over the surface nodes of a round patch of the matrix.
 
     `patches` are further loads of the same kind that act together with this one.
     """
 
     name: ClassVar[str] = "external_load"
-    acts_on: ClassVar[str] = "matrix"
-    active: ClassVar[bool] = True
     not_on: ClassVar[dict[str, str]] = {"chain": "a chain is loaded by its cells only"}
     force: float = parameter(
         "1000 pN",
         "pN",
         source="scene [notes: matrix, external load and strain]",
         about="total force at factor 1",
-    )
-    direction: float = parameter(
-        "0 deg",
-        "rad",
-        source="scene [notes: matrix, external load and strain]",
-        about="angle in the plane",
-    )
-    x: float = parameter(
-        "0 um",
-        "um",
-        source="scene [notes: matrix, external load and strain]",
-        about="centre of the patch",
-    )
-    y: float = parameter(
-        "0 um",
-        "um",
-        source="scene [notes: matrix, external load and strain]",
-        about="centre of the patch",
-    )
-    radius: float = parameter(
-        "5 um",
-        "um",
-        above=0.0,
-        source="scene [notes: matrix, external load and strain]",
-        about="radius of the patch",
     )
     history: History = History((0.0,), (1.0,))
     patches: tuple[ExternalLoad, ...] = ()

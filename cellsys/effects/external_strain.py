@@ -10,13 +10,14 @@ import numpy as np
 
 from cellsys.effects.commands import History
 from cellsys.effects.matrix import MATRIX
-from cellsys.effects.protocol import Configuration, Effect, Element, Held, Site, parameter
+from cellsys.effects.patch import MatrixPatch
+from cellsys.effects.protocol import Configuration, Element, Held, Site, parameter
 from cellsys.errors import SceneError
 from cellsys.geometry.disc import Disc
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExternalStrain(Effect):
+class ExternalStrain(MatrixPatch):
     """Nodes that follow u(t) = h(t) (displacement + strain (e . (r - c))) e, a flow source.
 
     e is the direction in the plane, r a node's rest position, c the centre of the patch (0 for the
@@ -25,8 +26,6 @@ class ExternalStrain(Effect):
     """
 
     name: ClassVar[str] = "external_strain"
-    acts_on: ClassVar[str] = "matrix"
-    active: ClassVar[bool] = True
     not_on: ClassVar[dict[str, str]] = {"chain": "the walls of a chain do not move"}
     region: str = parameter(
         "rim",
@@ -44,31 +43,6 @@ class ExternalStrain(Effect):
         "um",
         source="scene [notes: matrix, external load and strain]",
         about="shift of all its nodes",
-    )
-    direction: float = parameter(
-        "0 deg",
-        "rad",
-        source="scene [notes: matrix, external load and strain]",
-        about="angle in the plane",
-    )
-    x: float = parameter(
-        "0 um",
-        "um",
-        source="scene [notes: matrix, external load and strain]",
-        about="centre of the patch",
-    )
-    y: float = parameter(
-        "0 um",
-        "um",
-        source="scene [notes: matrix, external load and strain]",
-        about="centre of the patch",
-    )
-    radius: float = parameter(
-        "5 um",
-        "um",
-        above=0.0,
-        source="scene [notes: matrix, external load and strain]",
-        about="radius of the patch",
     )
     history: History = History((0.0, 100.0), (0.0, 1.0))
 
