@@ -66,6 +66,7 @@ from .integrate import (
     simulate,
     stability_limit,
 )
+from .io import read_recorded, read_run, recorded_run, write_recorded
 from .loop import (
     ClosedLoop,
     LiteralLoop,

@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 
 from cellsys.arguments import checked
-from cellsys.drawable import Drawable
-from cellsys.errors import DataError, DimensionError
+from cellsys.errors import CellsysError, DataError, DimensionError, FileFormatError
+from cellsys.exported import Exported
 from cellsys.shown import Shown
+from cellsys.store.archive import load_archive, save_archive
 from cellsys.system import Event, Layout
+from cellsys.trajectory_file import KIND, SCHEMA, packed, unpacked
 
 SOON = 5.0  # s: a run that took longer is not solved again only to be printed
 
@@ -70,7 +73,7 @@ class ErrorEstimate(Shown):
 
 @checked
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Trajectory(Drawable):
+class Trajectory(Exported):
     """Samples of a run; axis 0 is time.
 
     The state x_k is the state at t_k. eta_k and u_k are the averages of each law and of the
@@ -119,6 +122,9 @@ class Trajectory(Drawable):
     model_error : mapping of str to float
         The model's part of the error, from its card: relative error of roll-outs by block.
         Empty for a full-order run, which is its own reference.
+    source : mapping
+        Where the run comes from, as plain values: its scene, the file it was read from, the
+        version and platform that made it.
     """
 
     t: np.ndarray
@@ -141,6 +147,7 @@ class Trajectory(Drawable):
     geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
     estimator: Callable[[], ErrorEstimate] | None = field(default=None, repr=False)
     model_error: Mapping[str, float] = field(default_factory=dict)
+    source: Mapping[str, object] = field(default_factory=dict)
 
     _figure: ClassVar[str] = "trajectory"
 
@@ -254,6 +261,55 @@ class Trajectory(Drawable):
         if len(block.shape) == 2 and block.shape[1] == 3:
             error = np.linalg.norm(error, axis=1)
         return error
+
+    def save(self, path: str | Path, *, loads: bool = True) -> Path:
+        """Write the run as one ``.npz``: arrays, names and units of the blocks, provenance.
+
+        Parameters
+        ----------
+        path : path
+            ``.npz`` is appended when missing.
+        loads : bool
+            False: states, polarity, sensed direction and amplitude alone, without the auxiliaries
+            (most of the bytes of a full-order run), so that no model can be learned from it.
+
+        Returns
+        -------
+        Path
+            What was written; `load` gives the run back to the last bit. Never pickle.
+        """
+        fields = dict(vars(self))
+        arrays, described = packed(fields, loads)
+        if "error" in fields:  # found already; to find it later takes the system
+            error: ErrorEstimate = fields["error"]
+            described["error"] = {"method": error.method, "time": error.time}
+            arrays["error.scale"] = error.scale
+            if error.absolute is not None:
+                arrays["error.absolute"] = error.absolute
+        return save_archive(path, KIND, SCHEMA, arrays, described)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Trajectory:
+        """The run that `save` wrote.
+
+        Raises
+        ------
+        FileNotFoundError
+        FileFormatError
+            Truncated, damaged, of another kind or of another schema.
+        """
+        arrays, described = load_archive(path, KIND, SCHEMA)
+        fields = unpacked(arrays, described)
+        kept = described.get("error")
+        if isinstance(kept, Mapping) and "error.scale" in arrays:
+            found = ErrorEstimate(
+                arrays.get("error.absolute"), arrays["error.scale"], str(kept.get("method"))
+            )
+            fields["estimator"] = lambda: found
+        try:
+            return cls(**fields)
+        except (CellsysError, TypeError) as error:
+            raise FileFormatError(f"{Path(path).name!r} is damaged: {error}") from error
 
     def __getstate__(self) -> dict[str, Any]:
         # An estimator holds the system, whose laws need not be picklable.

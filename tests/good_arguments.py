@@ -20,8 +20,8 @@ import cellsys as cs
 from tests.study.scenes import TINY
 
 ROOMS = (
-    "accuracy", "bondgraph", "cell", "design", "field", "integrate", "loop", "model", "observe",
-    "population", "reduction", "response", "samples", "scene", "store", "study", "worth",
+    "accuracy", "bondgraph", "cell", "design", "field", "integrate", "io", "loop", "model",
+    "observe", "population", "reduction", "response", "samples", "scene", "store", "study", "worth",
 )  # fmt: skip
 
 

@@ -32,7 +32,7 @@ FLOORS = [
     ("cli", "__main__"),
     ("study",),
     ("figures",),
-    ("accuracy", "design"),
+    ("accuracy", "design", "io"),
     ("symbols",),
     ("population",),
     ("observe", "ports"),
@@ -46,8 +46,9 @@ FLOORS = [
     ("bondgraph", "geometry", "integrate", "response"),
     ("spectra",),
     ("contracts", "state_space"),
-    ("laws", "store", "linear_systems"),
-    ("system", "overdamped", "trajectory", "drawable", "answers"),
+    ("linear_systems",),
+    ("system", "overdamped", "trajectory", "trajectory_file", "exported", "drawable", "answers"),
+    ("laws", "store"),
     (
         "units",
         "arguments",
@@ -66,7 +67,10 @@ FLOOR = {room: height for height, rooms in enumerate(reversed(FLOORS)) for room 
 # downwards only: trajectory is built from system and drawable, units from errors.
 INSIDE = {
     ("trajectory", "system"),
-    ("trajectory", "drawable"),
+    ("trajectory", "exported"),
+    ("trajectory", "trajectory_file"),
+    ("trajectory_file", "system"),
+    ("exported", "drawable"),
     ("overdamped", "system"),
     ("answers", "system"),
     ("units", "errors"),
@@ -101,7 +105,7 @@ def imported_rooms(path: Path) -> set[tuple[str, int]]:
                 continue
             rooms = [base[1]] if len(base) > 1 else [alias.name for alias in node.names]
             found.update((room, node.lineno) for room in rooms)
-        elif isinstance(node, ast.Call) and path.name != "drawable.py":
+        elif isinstance(node, ast.Call) and path.name not in ("drawable.py", "exported.py"):
             # importlib.import_module("cellsys.x"), __import__("cellsys.x")
             for argument in node.args:
                 text = argument.value if isinstance(argument, ast.Constant) else None

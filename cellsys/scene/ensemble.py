@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from cellsys.store.runs import RunReader, RunWriter
 from cellsys.system import Event, OdeSystem
 from cellsys.threads import one_thread
 from cellsys.trajectory import Trajectory
+from cellsys.trajectory_file import layout_table, provenance
 
 
 @checked
@@ -66,7 +68,7 @@ def run_scene(
     if folder is None:
         check_scene_memory(scene)
         system = build(scene)
-        run = _simulated(scene, system, None, progress)
+        run = replace(_simulated(scene, system, None, progress), source=origin(scene))
         return run if scene.until is None else until_contact(run)
     target = Path(folder) / run_name(scene)
     if not _kept([target]):
@@ -133,7 +135,21 @@ def _make(
         writer.discard()  # by somebody else, while this one waited
         return
     run = _simulated(scene, system, writer, progress)
-    writer.finish({"statistics": _numbers(run.statistics), "events": [list(e) for e in run.events]})
+    writer.finish(
+        {
+            "statistics": _numbers(run.statistics),
+            "events": [list(e) for e in run.events],
+            "states": layout_table(run.states),
+            "auxiliaries": layout_table(run.auxiliaries),
+            "source": provenance({"toml": scene.text} if scene.text else {}),
+        }
+    )
+
+
+def origin(scene: Scene) -> dict[str, object]:
+    """What a run keeps of its scene: all it depends on, and its file as it was given."""
+    given: dict[str, object] = {"toml": scene.text} if scene.text else {}
+    return {"scene": scene.canonical(), **given}
 
 
 def _finished(target: Path) -> int | None:
@@ -214,6 +230,9 @@ def _trajectory(reader: RunReader, system: OdeSystem, scene: Scene) -> Trajector
         )
     t, arrays = first_samples(count, t, reader.arrays)
     run = trajectory_of(system, t, arrays, events, statistics, label)
+    told = reader.metadata.get("source")  # runs of older versions have none
+    made = {k: v for k, v in told.items() if k != "scene"} if isinstance(told, dict) else {}
+    run = replace(run, source={**origin(scene), **made})
     return run if scene.until is None else until_contact(run)
 
 

@@ -47,7 +47,8 @@ def load_scene(
     source = find_scene(path)
     table = read_table(source)
     try:
-        return parse_scene(table, effects=effects, matrices=matrices, folder=source.parent)
+        scene = parse_scene(table, effects=effects, matrices=matrices, folder=source.parent)
+        return dataclasses.replace(scene, text=source.read_text("utf-8-sig"))
     except SceneError as error:
         raise SceneError(f"{source.name}: {error}") from error
 

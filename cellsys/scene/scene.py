@@ -41,12 +41,12 @@ class Scene:
     and `training`, `seed` and `step` are not used.
 
     Built by `load_scene` or `Scene.parse`; change it with `dataclasses.replace`. Times in s,
-    lengths in um, angles in rad. `cells` may be empty (a passive matrix) and `matrix` None (a
-    free membrane), not both. `stepper` is "auto", "BDF2", "RKC" or "LinearlyImplicit" (which None
-    stands for), `step` and `tolerance` its setting: ``[run]`` in a file. `learn` says whether
-    `cs.study` learns models from its `training`; a scene file without [training] does not ask for
-    any. `until` "contact" ends the run where two cells touch, before `duration` if that comes
-    first.
+    lengths in um, angles in rad. `cells` may be empty (a passive matrix) and `matrix` None (a free
+    membrane), not both. `stepper` is "auto", "BDF2", "RKC" or "LinearlyImplicit" (which None stands
+    for), `step` and `tolerance` its setting: ``[run]`` in a file. `learn` says whether `cs.study`
+    learns models from its `training`; a scene file without [training] does not ask for any. `text`
+    is the file that the scene was read from, as it was given. `until` "contact" ends the run where
+    two cells touch, before `duration` if that comes first.
 
     Raises
     ------
@@ -65,6 +65,7 @@ class Scene:
     commands: Commands = field(default_factory=Commands)
     training: Training = field(default_factory=Training)
     learn: bool = field(default=True, compare=False)
+    text: str | None = field(default=None, compare=False)
     seed: Seed = 0
     step: float = 0.5
     stepper: str | None = None
@@ -158,6 +159,7 @@ class Scene:
             f.name: _plain(getattr(self, f.name)) for f in dataclasses.fields(self)
         }
         table.pop("learn")
+        table.pop("text")
         for key in ("stepper", "tolerance", "until"):
             if table[key] is None:  # as scenes were written that knew no such choice
                 table.pop(key)

@@ -10,19 +10,13 @@ import numpy as np
 
 from cellsys.store import save_archive
 from cellsys.trajectory import Trajectory
+from cellsys.trajectory_file import KIND, SCHEMA, packed
 
 
 def save_run(run: Trajectory, path: Path, more: Mapping[str, np.ndarray] | None = None) -> None:
-    """Times, states, polarity and sensed direction of a run, with their names; `more` arrays."""
-    arrays = {"t": run.t, "x": np.asarray(run.x), **(more or {})}
-    arrays |= {k: np.asarray(getattr(run, k)) for k in ("p", "d") if getattr(run, k) is not None}
-    described = {
-        "label": run.label,
-        "states": [[b.name, list(b.shape), b.unit, b.role, b.kind] for b in run.states],
-        "statistics": plain(run.statistics),
-        "events": [e.name for e in run.events],
-    }
-    save_archive(path, "run", 1, arrays, described)
+    """`Trajectory.save` without the loads, which `cs.read_run` reads; `more` arrays beside it."""
+    arrays, described = packed(vars(run), loads=False)
+    save_archive(path, KIND, SCHEMA, {**arrays, **(more or {})}, described)
 
 
 def plain(value: object) -> Any:
