@@ -66,7 +66,7 @@ from .integrate import (
     simulate,
     stability_limit,
 )
-from .io import read_recorded, read_run, recorded_run, write_recorded
+from .io import read_recorded, read_run, read_tracks, recorded_run, write_recorded
 from .loop import (
     ClosedLoop,
     LiteralLoop,
@@ -234,6 +234,7 @@ from .system import (
     Layout,
     OdeSystem,
 )
+from .tracks import Tracks
 from .trajectory import ErrorEstimate, Trajectory
 from .units import quantity
 from .version import __version__

@@ -47,7 +47,16 @@ FLOORS = [
     ("spectra",),
     ("contracts", "state_space"),
     ("linear_systems",),
-    ("system", "overdamped", "trajectory", "trajectory_file", "exported", "drawable", "answers"),
+    (
+        "system",
+        "overdamped",
+        "trajectory",
+        "trajectory_file",
+        "tracks",
+        "exported",
+        "drawable",
+        "answers",
+    ),
     ("laws", "store"),
     (
         "units",

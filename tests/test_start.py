@@ -11,6 +11,7 @@ from tests.loop.systems import make
 
 ROOT = Path(__file__).resolve().parent.parent
 HEAVY = ("control", "casadi", "matplotlib", "numba")
+EXTRAS = ("pandas", "xarray", "vtk", "pyvista", "skimage", "shapely", "tifffile", "geff")
 
 
 def seconds(*code: str) -> float:
@@ -38,6 +39,14 @@ def against_numpy(*code: str) -> tuple[float, float]:
 def test_import_is_light():
     """`import cellsys` loads no heavy library: 0.4 s where numpy takes 0.15 s, a third of that
     here, since numpy is not loaded either."""
+    code = (
+        "import sys, cellsys; import cellsys.io, cellsys.observe; "
+        f"print([m for m in {EXTRAS!r} if m in sys.modules])"
+    )
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.strip()
+    assert loaded == "[]", "an extra is loaded before anybody asks for it"
     code = f"import sys, cellsys; print([m for m in {HEAVY!r} if m in sys.modules])"
     loaded = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True

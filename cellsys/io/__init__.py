@@ -1,7 +1,16 @@
 """Readers and writers of other programs' files, one file per format."""
 
+from cellsys.io.linking import link_spots
 from cellsys.io.recorded import read_recorded, recorded_run
 from cellsys.io.recorded_write import write_recorded
 from cellsys.io.run_file import read_run
+from cellsys.io.tracks_file import read_tracks
 
-__all__ = ["read_recorded", "read_run", "recorded_run", "write_recorded"]
+__all__ = [
+    "link_spots",
+    "read_recorded",
+    "read_run",
+    "read_tracks",
+    "recorded_run",
+    "write_recorded",
+]
