@@ -16,6 +16,7 @@ from .accuracy import (
     work_precision,
 )
 from .bondgraph import BondGraph
+from .contours import CellOutlines
 from .design import (
     Fitted,
     Miss,
@@ -97,6 +98,7 @@ from .observe import (
     heading_deg,
     heading_error_deg,
     node_speed,
+    observe,
     observe_neighbours,
     observe_pair,
     pair_of,

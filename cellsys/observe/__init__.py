@@ -1,7 +1,9 @@
 """Physical read-outs of runs, full-order or reconstructed."""
 
 from cellsys.mechanics.contact import contour_gap, edge_gap, until_contact
+from cellsys.observe.everything import observe
 from cellsys.observe.headings import heading_change_deg, heading_deg, heading_error_deg
+from cellsys.observe.motion import MeanSquares, mean_squares, movement, persistence
 from cellsys.observe.pairs import (
     Attenuation,
     PairReadout,
@@ -13,6 +15,12 @@ from cellsys.observe.pairs import (
     pair_regions,
     speed_against_spacing,
 )
+from cellsys.observe.polygons import (
+    ShapeOfContour,
+    axis_difference_deg,
+    contour_shape,
+    directionality_deg,
+)
 from cellsys.observe.read_outs import read_out_errors, read_outs
 from cellsys.observe.spreading import (
     centre_height,
@@ -21,6 +29,8 @@ from cellsys.observe.spreading import (
     node_speed,
     summary_of_run,
 )
+from cellsys.observe.table import ReadOutTable
+from cellsys.observe.top_view import top_view
 from cellsys.observe.tractions import (
     TractionMap,
     Tractions,
@@ -33,30 +43,41 @@ from cellsys.observe.tractions import (
 
 __all__ = [
     "Attenuation",
+    "MeanSquares",
     "PairReadout",
+    "ReadOutTable",
+    "ShapeOfContour",
     "TractionMap",
     "Tractions",
     "alone_scenes",
     "attenuation_length",
+    "axis_difference_deg",
     "centre_height",
     "contact_area",
     "contact_radius",
     "contour_gap",
+    "contour_shape",
     "crawl_distance",
+    "directionality_deg",
     "edge_gap",
     "heading_change_deg",
     "heading_deg",
     "heading_error_deg",
+    "mean_squares",
+    "movement",
     "node_speed",
+    "observe",
     "observe_neighbours",
     "observe_pair",
     "pair_of",
     "pair_regions",
+    "persistence",
     "pulling",
     "read_out_errors",
     "read_outs",
     "speed_against_spacing",
     "summary_of_run",
+    "top_view",
     "traction_read_outs",
     "tractions",
     "until_contact",
