@@ -13,6 +13,7 @@ from cellsys.units import shaped_array
 ROUND = 1e-9  # of the sum of the second moments: a difference below it is no elongation
 
 
+@checked
 class ShapeOfContour(NamedTuple):
     """Measures of a contour, lengths in its unit.
 
@@ -83,12 +84,14 @@ def contour_shape(points: np.ndarray) -> ShapeOfContour:
     return ShapeOfContour(abs(area), perimeter, middle + centre, axis, ratio)
 
 
+@checked
 def axis_difference_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Angle between two axes, deg, in [0, 90]: an axis has no sense."""
     off = np.abs(np.asarray(a) - np.asarray(b)) % 180.0
     return np.asarray(np.minimum(off, 180.0 - off))
 
 
+@checked
 def directionality_deg(axis_deg: np.ndarray, movement_deg: np.ndarray) -> np.ndarray:
     """Mean direction of the axis of elongation and of the movement, deg in (-180, 180] [B.2].
 
