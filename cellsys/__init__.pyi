@@ -67,7 +67,16 @@ from .integrate import (
     simulate,
     stability_limit,
 )
-from .io import read_recorded, read_run, read_tracks, recorded_run, write_recorded
+from .io import (
+    read_masks,
+    read_recorded,
+    read_run,
+    read_tracks,
+    recorded_run,
+    render_movie,
+    segment_cells,
+    write_recorded,
+)
 from .loop import (
     ClosedLoop,
     LiteralLoop,

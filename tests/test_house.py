@@ -247,6 +247,7 @@ def test_every_extra_is_used():
         for path in (ROOT / folder).rglob("*.py")
     ) + (ROOT / ".ci" / "run").read_text("utf-8")
     names = {
+        "scikit-image": "extra(\"skimage.",
         "pytest-xdist": "-n 2", "dask[distributed]": "importorskip(\"distributed\")",
         "mypy": "python .ci/types", "scipy-stubs": "python .ci/types",  # it reads the stubs
     }  # fmt: skip
