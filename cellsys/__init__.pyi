@@ -45,6 +45,7 @@ from .errors import (
     UnitError,
     UnknownNameError,
 )
+from .figures import write_movie
 from .integrate import (
     BDF2,
     CVODES,
@@ -68,14 +69,20 @@ from .integrate import (
     stability_limit,
 )
 from .io import (
+    read_fibre_field,
     read_masks,
+    read_mesh_series,
+    read_physicell,
     read_recorded,
     read_run,
     read_tracks,
     recorded_run,
     render_movie,
     segment_cells,
+    write_outlines,
     write_recorded,
+    write_tracks,
+    write_vtk,
 )
 from .loop import (
     ClosedLoop,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 
-from cellsys.cli import cache, cost, couple, doctor, effects, models, new, scenes, sweep
+from cellsys.cli import cache, cost, couple, doctor, effects, exchange, models, new, scenes, sweep
 from cellsys.cli.console import app, say_error
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "couple",
     "doctor",
     "effects",
+    "exchange",
     "main",
     "models",
     "new",

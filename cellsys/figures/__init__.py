@@ -21,6 +21,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         ],
         "equivariant": ["bode_family", "equivariant_model", "forecast"],
         "hard": ["hard_sweep"],
+        "movie": ["write_movie"],
         "loop": ["headings", "linearisation"],
         "norms": ["system_norm"],
         "population": [

@@ -39,6 +39,7 @@ from .equivariant import (
 from .hard import hard_sweep as hard_sweep
 from .loop import headings as headings
 from .loop import linearisation as linearisation
+from .movie import write_movie as write_movie
 from .norms import system_norm as system_norm
 from .population import (
     coupled_cells as coupled_cells,

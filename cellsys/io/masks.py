@@ -148,6 +148,10 @@ def scaled_outlines(
     found: CellOutlines, pixel_size: float | None, frame_interval: float | None
 ) -> CellOutlines:
     """The same contours in um and s, as far as the scale is given."""
+    if pixel_size is not None and found.length_unit == "um":
+        raise ParameterError(f"pixel_size = {pixel_size!r}: these contours are in um already")
+    if frame_interval is not None and found.time_unit == "s":
+        raise ParameterError(f"frame_interval = {frame_interval!r}: these are in s already")
     step = 1.0 if frame_interval is None else frame_interval
     size = 1.0 if pixel_size is None else pixel_size
     return CellOutlines(

@@ -9,7 +9,7 @@ import numpy as np
 
 from cellsys.contours import CellOutlines
 from cellsys.errors import FileFormatError
-from cellsys.io.columns import read_columns
+from cellsys.io.columns import length_unit, read_columns, time_unit
 from cellsys.io.extras import extra
 from cellsys.store.regular import open_regular
 
@@ -28,20 +28,28 @@ def read_shapes(path: Path) -> CellOutlines:
     """
     if not path.exists():
         raise FileNotFoundError(f"no file {str(path)!r}")
-    rows = _table(path) if path.suffix.lower() in (".csv", ".wkt") else _features(path)
+    units = ("px", "frame")
+    if path.suffix.lower() in (".csv", ".wkt"):
+        rows = _table(path)
+    else:
+        rows, units = _features(path)
     cells, frames, corners = [], [], []
-    for where, cell, frame, shape in rows:
+    for where, cell, frame, shape, _ in rows:
         cells.append(cell)
         frames.append(frame)
         corners.append(_outer(shape, f"{path.name}, {where}"))
     at = np.array(frames, dtype=float)
     return CellOutlines(
-        cell=tuple(cells), frame=at, t=at, outline=tuple(corners), length_unit="px",
-        time_unit="frame", source={"file": path.name},
+        cell=tuple(cells), frame=at, t=np.array([row[4] for row in rows]),
+        outline=tuple(corners), length_unit=units[0], time_unit=units[1],
+        source={"file": path.name},
     )  # fmt: skip
 
 
-def _features(path: Path) -> list[tuple[str, str, int, object]]:
+_Row = tuple[str, str, int, object, float]
+
+
+def _features(path: Path) -> tuple[list[_Row], tuple[str, str]]:
     shapely = extra("shapely.geometry", "images", f"{path.name} (GeoJSON)")
     try:
         with open_regular(path, _MOST) as file:
@@ -57,15 +65,21 @@ def _features(path: Path) -> list[tuple[str, str, int, object]]:
             known = feature.get("properties") or {}
             cell = known["cell"] if "cell" in known else feature.get("id", k)
             shape = shapely.shape(feature["geometry"])
-            rows.append((f"feature {k}", str(cell), int(known.get("frame", 0)), shape))
+            frame = int(known.get("frame", 0))
+            time = float(known.get("t", frame))
+            rows.append((f"feature {k}", str(cell), frame, shape, time))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise FileFormatError(
                 f"{path.name}, feature {k}: no polygon of a cell and frame: {error!r}"
             ) from error
-    return rows
+    space, scale = length_unit(str(told.get("length_unit", "px")), path.name)
+    time_name, per = time_unit(str(told.get("time_unit", "frame")), path.name)
+    if (scale, per) != (1.0, 1.0):
+        raise FileFormatError(f"{path.name}: units are um or px, and s or frame")
+    return rows, (space, time_name)
 
 
-def _table(path: Path) -> list[tuple[str, str, int, object]]:
+def _table(path: Path) -> list[_Row]:
     shapely = extra("shapely", "images", f"{path.name} (WKT)")
     table = read_columns(path)
     shapes = table.columns[table.need("polygon", "wkt", "geometry", "polygon")]
@@ -77,7 +91,8 @@ def _table(path: Path) -> list[tuple[str, str, int, object]]:
             shape = shapely.from_wkt(text)
         except (shapely.errors.ShapelyError, ValueError, TypeError) as error:
             raise FileFormatError(f"{path.name}, line {table.lines[k]}: no WKT: {error}") from error
-        rows.append((f"line {table.lines[k]}", cell, int(frames[k]), shape))
+        at = int(frames[k])
+        rows.append((f"line {table.lines[k]}", cell, at, shape, float(at)))
     return rows
 
 

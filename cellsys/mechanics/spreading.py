@@ -250,10 +250,12 @@ class SpreadingSystem(OverdampedSystem):
         return u
 
     def geometry(self) -> dict[str, np.ndarray]:
-        """``cellK.triangles`` (m, 3), corners of the membrane's triangles, and of a matrix
-        ``matrix.rest`` (N, 3) um, ``matrix.surface``, the nodes that adhesions reach, and
-        ``matrix.stiffness`` (N,) pN/um, the sum over the fibres at each node at rest; and what
-        elements `describe`.
+        """Constant places by name.
+
+        ``cellK.triangles`` (m, 3), corners of the membrane's triangles; of a matrix
+        ``matrix.rest`` (N, 3) um, ``matrix.surface``, the nodes that adhesions reach,
+        ``matrix.fibres`` (m, 2), the ends of the fibres, and ``matrix.stiffness`` (N,) pN/um, the
+        sum over the fibres at each node at rest; and what elements `describe`.
         """
         bodies = [cell.body for cell in self.cells]
         membranes = {f"{body.name}.triangles": body.membrane.triangles for body in bodies}
@@ -261,8 +263,12 @@ class SpreadingSystem(OverdampedSystem):
             return membranes
         disc = self.matrix
         total = nodal_sum(len(disc.position), disc.fibres, disc.stiffness)
-        surface = {"matrix.rest": disc.position, "matrix.surface": disc.surface}
-        membranes |= surface | {"matrix.stiffness": total}
+        membranes |= {
+            "matrix.rest": disc.position,
+            "matrix.surface": disc.surface,
+            "matrix.fibres": disc.fibres,
+            "matrix.stiffness": total,
+        }
         for element in self.elements:
             membranes |= element.describe()
         return membranes
