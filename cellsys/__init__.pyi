@@ -18,6 +18,10 @@ from .accuracy import (
 from .bondgraph import BondGraph
 from .contours import CellOutlines
 from .design import (
+    Attraction,
+    PolarityFit,
+    fit_polarity,
+    pair_attraction,
     Fitted,
     Miss,
     Obstacle,

@@ -154,7 +154,7 @@ GOOD = {
     "field": field, "path": lambda: Path("nothing here"), "out": lambda: Path("out"),
     "folder": lambda: Path("out"), "alone": lambda: [run()],
     "rest": lambda: run().geometry["matrix.rest"], "n": lambda: 2, "seed": lambda: 0,
-    "alone_scenes.scene": pair, "budget.target": loop, "budget.error": lambda: 0.01,
+    "alone_scenes.scene": pair, "fit_polarity.data": run, "budget.target": loop, "budget.error": lambda: 0.01,
     "by_step.method": lambda: cs.RungeKutta4, "by_step.steps": lambda: [0.1],
     "by_tolerance.method": lambda: cs.DOP853, "by_tolerance.tolerances": lambda: [1e-3],
     "cells_cost.models": lambda: [equivariant()], "check_budget.found": lambda: blank(cs.Budget),

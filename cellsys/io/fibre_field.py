@@ -46,8 +46,8 @@ class MeasuredFibreField(Shown):
         size = np.linalg.norm(self.displacement, axis=2)
         return (
             f"MeasuredFibreField: {len(self.nodes)} nodes at {len(self.displacement)} times, "
-            f"displaced by up to {size.max(initial=0.0):.3g} um, {'with' if self.force is not None else 'no'} "
-            "forces"
+            f"displaced by up to {size.max(initial=0.0):.3g} um, "
+            f"{'with' if self.force is not None else 'no'} forces"
         )
 
 

@@ -1,0 +1,389 @@
+"""`fit_polarity`: turning rate, noise and cue gain of the polarity law from measured headings.
+
+In the plane the law [thesis eq. 72] with a unit cue of direction phi and noise reads
+
+    d theta = kappa sin(phi - theta) dt + sigma dW,
+
+and a track shows theta_k + e_k, e_k white with standard deviation s. Regressing the turn on the
+cue is biased by e_k, which stands on both sides; the sine of the step before is free of it and
+serves as instrument (as the estimators of Brueckner et al., Phys. Rev. Lett. 125, 058103, 2020, for
+underdamped motion from noisy places). The turns' variance and lag-one covariance part sigma and s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import norm
+
+from cellsys.arguments import checked
+from cellsys.errors import DataError, ParameterError
+from cellsys.kinds import Count, Seed
+from cellsys.loop.polarity import PolarityLaw
+from cellsys.shown import Shown
+from cellsys.tracks import Tracks
+from cellsys.trajectory import Trajectory
+from cellsys.units import real_number
+
+
+class CellRate(NamedTuple):
+    """One cell: kappa, 1/s, its interval, and the turns that it rests on."""
+
+    kappa: float
+    low: float
+    high: float
+    turns: int
+
+
+@checked
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PolarityFit(Shown):
+    """Estimates of the polarity law with their intervals.
+
+    Parameters
+    ----------
+    kappa : float
+        Turning rate towards the cue, 1/s, pooled over the cells.
+    kappa_interval, noise_interval, cue_gain_interval : (float, float)
+        At `level`.
+    noise : float
+        sigma, rad/s^(1/2).
+    measurement : float
+        s, rad: what single headings are off.
+    cue_gain : float
+        2 kappa/sigma^2: how sharply headings gather about a steady cue, the concentration of
+        their von Mises distribution; 0 for none.
+    cells : mapping of str to CellRate
+    level : float
+    turns : int
+    """
+
+    kappa: float
+    kappa_interval: tuple[float, float]
+    noise: float
+    noise_interval: tuple[float, float]
+    measurement: float
+    cue_gain: float
+    cue_gain_interval: tuple[float, float]
+    cells: Mapping[str, CellRate]
+    level: float
+    turns: int
+
+    def controller(self) -> PolarityLaw:
+        """The law with this kappa, for `cs.closed_loop`.
+
+        Raises
+        ------
+        DataError
+            Where the interval does not lie above zero: nothing says that cells follow the cue.
+        """
+        if not self.kappa_interval[0] > 0:
+            raise DataError(
+                f"kappa is {self.kappa:.3g} 1/s with the interval {self.kappa_interval[0]:.3g} to "
+                f"{self.kappa_interval[1]:.3g}: these headings do not show that cells turn towards "
+                "the cue; use more or longer tracks"
+            )
+        return PolarityLaw(kappa=self.kappa)
+
+    def __str__(self) -> str:
+        low, high = self.kappa_interval
+        return (
+            f"PolarityFit: kappa {self.kappa:.3g} 1/s ({100 * self.level:g} %: {low:.3g} to "
+            f"{high:.3g}), {self.turns} turns of {len(self.cells)} cells\n"
+            f"noise {self.noise:.3g} rad/s^0.5 ({self.noise_interval[0]:.3g} to "
+            f"{self.noise_interval[1]:.3g}), headings off by {self.measurement:.3g} rad, cue gain "
+            f"{self.cue_gain:.3g} ({self.cue_gain_interval[0]:.3g} to "
+            f"{self.cue_gain_interval[1]:.3g})"
+        )
+
+
+class _Series(NamedTuple):
+    """Of one cell: turns y, regressors x, instruments z; runs of following turns by number."""
+
+    y: np.ndarray
+    x: np.ndarray
+    z: np.ndarray
+    dt: np.ndarray
+    block: np.ndarray
+
+
+@checked
+def fit_polarity(
+    data: Tracks | Trajectory | Sequence[Tracks | Trajectory],
+    *,
+    cue: float | None = None,
+    level: float = 0.95,
+) -> PolarityFit:
+    """Fit kappa, noise and cue gain of the polarity law to headings.
+
+    Parameters
+    ----------
+    data : Tracks or Trajectory, or a list of them
+        Tracks: the heading is the movement from spot to spot, and the cue the direction of the
+        nearest other cell. Runs: polarity and sensed direction as they were recorded.
+    cue : float, optional
+        A fixed direction instead, rad: of a gradient, say.
+    level : float
+        Of the intervals, which hold for many turns: errors are robust against unequal noise and
+        against what following turns share (Newey & West, 1987, two lags within a cell).
+
+    Returns
+    -------
+    PolarityFit
+
+    Raises
+    ------
+    DataError
+        Tracks in px or frames, fewer than 20 turns, or a cue that headings never leave.
+    ParameterError
+        `level` out of (0, 1), or a list that is empty.
+    """
+    if not 0.0 < real_number(level, "level") < 1.0:
+        raise ParameterError(f"level must be in (0, 1), got {level!r}")
+    if cue is not None:
+        real_number(cue, "cue")
+    sets = [data] if isinstance(data, (Tracks, Trajectory)) else list(data)
+    if not sets:
+        raise ParameterError("data is an empty list; give at least one run or set of tracks")
+    found: dict[str, _Series] = {}
+    for number, item in enumerate(sets):
+        head = f"{number}." if len(sets) > 1 else ""
+        cells = _of_tracks(item, cue) if isinstance(item, Tracks) else _of_run(item, cue)
+        found |= {f"{head}{name}": series for name, series in cells.items() if len(series.y)}
+    turns = sum(len(s.y) for s in found.values())
+    if turns < 20:
+        raise DataError(f"{turns} turns of cells with a cue; at least 20 are needed for an error")
+    width = float(norm.ppf(0.5 + 0.5 * level))
+    kappa, error = _instrumental(list(found.values()))
+    sigma2, sigma2_error, measured = _noise(list(found.values()), kappa)
+    noise = float(np.sqrt(sigma2))
+    share = float(np.hypot(error / kappa, sigma2_error / sigma2)) if kappa and sigma2 > 0 else 0.0
+    gain = 2.0 * kappa / sigma2 if sigma2 > 0 else float("inf")
+    per = {}
+    for name, series in found.items():
+        if len(series.y) < 5:
+            continue
+        own, off = _instrumental([series])
+        per[name] = CellRate(own, own - width * off, own + width * off, len(series.y))
+    low, high = max(0.0, sigma2 - width * sigma2_error), sigma2 + width * sigma2_error
+    off = width * share * abs(gain) if np.isfinite(gain) else float("inf")
+    return PolarityFit(
+        kappa=kappa,
+        kappa_interval=(kappa - width * error, kappa + width * error),
+        noise=noise,
+        noise_interval=(float(np.sqrt(low)), float(np.sqrt(high))),
+        measurement=measured,
+        cue_gain=gain,
+        cue_gain_interval=(gain - off, gain + off),
+        cells=per,
+        level=level,
+        turns=turns,
+    )
+
+
+def _series(t: np.ndarray, theta: np.ndarray, phi: np.ndarray) -> _Series:
+    """Turns, cues and instruments of headings theta at times t, NaN where there is none."""
+    whole = np.isfinite(theta) & np.isfinite(phi)
+    dt = np.diff(t)
+    turn = (np.diff(theta) + np.pi) % (2.0 * np.pi) - np.pi
+    pull = np.sin(phi - theta)
+    k = np.arange(1, len(t) - 1)
+    usual = float(np.median(dt)) if len(dt) else 0.0
+    even = np.abs(dt - usual) <= 0.1 * usual  # a turn over a gap is another turn
+    good = whole[k] & whole[k - 1] & whole[k + 1] & even[k] & even[k - 1]
+    k = k[good]
+    block = np.cumsum(np.diff(k, prepend=k[:1] - 1) > 1) if k.size else k
+    # The instrument: cue and heading of the step before.
+    return _Series(turn[k], pull[k] * dt[k], pull[k - 1] * dt[k], dt[k], block)
+
+
+def _of_run(run: Trajectory, cue: float | None) -> dict[str, _Series]:
+    p = run.polarities
+    if cue is None and run.d is None:
+        raise DataError("the run has no sensed direction; give cue=, a fixed direction")
+    found = {}
+    for cell in range(p.shape[1]):
+        theta = np.arctan2(p[:, cell, 1], p[:, cell, 0])
+        if cue is not None or run.d is None:
+            phi = np.full(len(theta), 0.0 if cue is None else cue)
+        else:
+            d = np.asarray(run.d)[:, cell]
+            phi = np.where(np.hypot(d[:, 0], d[:, 1]) > 0, np.arctan2(d[:, 1], d[:, 0]), np.nan)
+        found[f"cell{cell + 1}"] = _series(np.asarray(run.t), theta, phi)
+    return found
+
+
+def _of_tracks(tracks: Tracks, cue: float | None) -> dict[str, _Series]:
+    if tracks.time_unit != "s":
+        raise DataError("rates need times in s: tracks.scaled(frame_interval=...)")
+    found = {}
+    bearing = _bearings(tracks) if cue is None else np.full(len(tracks), cue)
+    for name, theta in _headings(tracks).items():
+        phi = bearing[tracks.cells[name]]
+        found[name] = _series(tracks.times(name), theta, phi)
+    return found
+
+
+def _headings(tracks: Tracks) -> dict[str, np.ndarray]:
+    """Direction of the step after each spot of every cell, NaN after the last, rad."""
+    found = {}
+    for name in tracks.cells:
+        step = np.diff(tracks.path(name)[:, :2], axis=0)
+        theta = np.full(len(step) + 1, np.nan)
+        moves = np.hypot(step[:, 0], step[:, 1]) > 0
+        theta[:-1][moves] = np.arctan2(step[moves, 1], step[moves, 0])
+        found[name] = theta
+    return found
+
+
+def _bearings(tracks: Tracks) -> np.ndarray:
+    """Direction from every spot to the nearest other one of its frame, NaN for a lone one, rad."""
+    bearing = np.full(len(tracks), np.nan)
+    order = np.argsort(tracks.frame, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(tracks.frame[order])) + 1):
+        if len(rows) < 2:
+            continue
+        x = tracks.place[rows, :2]
+        apart = np.linalg.norm(x[:, None] - x[None], axis=2)
+        np.fill_diagonal(apart, np.inf)
+        way = x[apart.argmin(axis=1)] - x
+        bearing[rows] = np.arctan2(way[:, 1], way[:, 0])
+    return bearing
+
+
+def _instrumental(cells: list[_Series]) -> tuple[float, float]:
+    """kappa and its standard error; see the module."""
+    y, x, z = (np.concatenate([getattr(c, n) for c in cells]) for n in ("y", "x", "z"))
+    pull = float(z @ x)
+    if not abs(pull) > 1e-9 * float(x @ x):
+        raise DataError("headings do not leave their cue: no turn says how fast they follow it")
+    kappa = float(z @ y) / pull
+    total = 0.0
+    for c in cells:
+        score = c.z * (c.y - kappa * c.x)
+        total += float(score @ score)
+        for lag, weight in ((1, 2.0 / 3.0), (2, 1.0 / 3.0)):
+            if len(score) > lag:
+                same = c.block[lag:] == c.block[:-lag]
+                total += 2.0 * weight * float((score[lag:] * score[:-lag])[same].sum())
+    spare = len(y) / max(len(y) - 1, 1)
+    return kappa, float(np.sqrt(max(total, 0.0) * spare)) / abs(pull)
+
+
+def _noise(cells: list[_Series], kappa: float) -> tuple[float, float, float]:
+    """sigma^2 with its standard error, and the error of a heading, from what turns leave over."""
+    squares, products, times = [], [], []
+    for c in cells:
+        left = c.y - kappa * c.x
+        same = c.block[1:] == c.block[:-1]
+        squares.append(left**2)
+        products.append((left[1:] * left[:-1])[same])
+        times.append(c.dt)
+    second, cross = np.concatenate(squares), np.concatenate(products)
+    dt = float(np.mean(np.concatenate(times)))
+    together = float(cross.mean()) if cross.size else 0.0
+    sigma2 = max((float(second.mean()) + 2.0 * together) / dt, 0.0)
+    n = max(len(second), 1)
+    # Var of a square 2 v^2, of a product of neighbours about v^2; the two nearly uncorrelated.
+    error = float(np.sqrt(second.var() / n + 4.0 * cross.var() / max(cross.size, 1))) / dt
+    return sigma2, error, float(np.sqrt(max(-together, 0.0)))
+
+
+@checked
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Attraction(Shown):
+    """Whether cells head for their neighbour beyond chance.
+
+    Parameters
+    ----------
+    mean_cosine : float
+        Of the angle between movement and the way to the nearest cell, over time and cells: 1 all
+        towards, 0 indifferent, -1 all away.
+    interval : (float, float)
+        At `level`, by resampling cells.
+    null : array (shuffles,)
+        The same where every cell is given the neighbour of another one.
+    p_value : float
+        Share of the null, and itself, at least as large.
+    level : float
+    cells : int
+    """
+
+    mean_cosine: float
+    interval: tuple[float, float]
+    null: np.ndarray
+    p_value: float
+    level: float
+    cells: int
+
+    def __str__(self) -> str:
+        return (
+            f"Attraction: mean cosine {self.mean_cosine:.3f} ({100 * self.level:g} %: "
+            f"{self.interval[0]:.3f} to {self.interval[1]:.3f}) of {self.cells} cells; shuffled "
+            f"{self.null.mean():.3f} +- {self.null.std():.3f}, p = {self.p_value:.3g}"
+        )
+
+
+@checked
+def pair_attraction(
+    tracks: Tracks | Sequence[Tracks],
+    *,
+    shuffles: Count = 500,
+    level: float = 0.95,
+    seed: Seed = 0,
+) -> Attraction:
+    """Mean heading towards the nearest cell, against shuffled neighbours.
+
+    In the null every cell keeps its movement and is given the directions to a neighbour of
+    another cell, from a random moment on: what is left is what a common drift would show.
+
+    Parameters
+    ----------
+    tracks : Tracks, or a list of them
+        One movie each.
+    shuffles : int
+    level : float
+    seed : int
+
+    Raises
+    ------
+    DataError
+        Fewer than four cells that move beside another one.
+    """
+    if not 0.0 < real_number(level, "level") < 1.0:
+        raise ParameterError(f"level must be in (0, 1), got {level!r}")
+    pairs: list[tuple[np.ndarray, np.ndarray]] = []
+    for movie in [tracks] if isinstance(tracks, Tracks) else tracks:
+        bearing = _bearings(movie)
+        for name, theta in _headings(movie).items():
+            phi = bearing[movie.cells[name]]
+            good = np.isfinite(theta) & np.isfinite(phi)
+            if good.sum() >= 2:
+                pairs.append((theta[good], phi[good]))
+    if len(pairs) < 4:
+        raise DataError(f"{len(pairs)} cells move beside another one; at least four are needed")
+    rng = np.random.default_rng(seed)
+    own = np.array([np.cos(theta - phi).mean() for theta, phi in pairs])
+    null = np.empty(shuffles)
+    for k in range(shuffles):
+        order = rng.permutation(len(pairs))
+        values = []
+        for i, j in zip(range(len(pairs)), order, strict=True):
+            theta, phi = pairs[i][0], pairs[j][1]
+            start = int(rng.integers(len(phi)))
+            values.append(np.cos(theta - np.resize(np.roll(phi, start), len(theta))).mean())
+        null[k] = np.mean(values)
+    picks = rng.integers(len(own), size=(shuffles, len(own)))
+    low, high = np.quantile(own[picks].mean(axis=1), [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+    mean = float(own.mean())
+    return Attraction(
+        mean_cosine=mean,
+        interval=(float(low), float(high)),
+        null=null,
+        p_value=float((1 + np.sum(null >= mean)) / (1 + shuffles)),
+        level=level,
+        cells=len(pairs),
+    )
