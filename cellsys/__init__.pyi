@@ -105,6 +105,7 @@ from .effects.commands import Commands, History
 from .mechanics.crawler import Crawler, CrawlerSystem, build_crawlers
 from .mechanics.crawler_run import CrawlRun, crawl
 from .observe import (
+    ReadOutTable,
     Attenuation,
     PairReadout,
     alone_scenes,

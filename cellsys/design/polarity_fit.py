@@ -7,7 +7,14 @@ In the plane the law [thesis eq. 72] with a unit cue of direction phi and noise 
 and a track shows theta_k + e_k, e_k white with standard deviation s. Regressing the turn on the
 cue is biased by e_k, which stands on both sides; the sine of the step before is free of it and
 serves as instrument (as the estimators of Brueckner et al., Phys. Rev. Lett. 125, 058103, 2020, for
-underdamped motion from noisy places). The turns' variance and lag-one covariance part sigma and s.
+underdamped motion from noisy places). The expected turn is the law's exact step, so that the
+interval between frames need not be short beside 1/kappa:
+
+    sum z_k (theta_k+1 - theta_k - h_k) = 0,   tan((psi_k - h_k)/2) = tan(psi_k/2) e^(-kappa dt)
+
+with psi = phi - theta. The turns' variance and lag-one covariance part sigma and s, where noise
+that entered early in an interval has fallen with the rate kappa cos psi. Of headings that are
+movements, means over a step, the same sum gives sigma, and s counts only what exceeds it.
 """
 
 from __future__ import annotations
@@ -101,10 +108,11 @@ class PolarityFit(Shown):
 
 
 class _Series(NamedTuple):
-    """Of one cell: turns y, regressors x, instruments z; runs of following turns by number."""
+    """Of one cell: turns y, cues psi as seen from the heading, instruments z, intervals; runs of
+    following turns by number."""
 
     y: np.ndarray
-    x: np.ndarray
+    psi: np.ndarray
     z: np.ndarray
     dt: np.ndarray
     block: np.ndarray
@@ -189,7 +197,7 @@ def _series(t: np.ndarray, theta: np.ndarray, phi: np.ndarray) -> _Series:
     whole = np.isfinite(theta) & np.isfinite(phi)
     dt = np.diff(t)
     turn = (np.diff(theta) + np.pi) % (2.0 * np.pi) - np.pi
-    pull = np.sin(phi - theta)
+    psi = (phi - theta + np.pi) % (2.0 * np.pi) - np.pi
     k = np.arange(1, len(t) - 1)
     usual = float(np.median(dt)) if len(dt) else 0.0
     even = np.abs(dt - usual) <= 0.1 * usual  # a turn over a gap is another turn
@@ -197,7 +205,7 @@ def _series(t: np.ndarray, theta: np.ndarray, phi: np.ndarray) -> _Series:
     k = k[good]
     block = np.cumsum(np.diff(k, prepend=k[:1] - 1) > 1) if k.size else k
     # The instrument: cue and heading of the step before.
-    return _Series(turn[k], pull[k] * dt[k], pull[k - 1] * dt[k], dt[k], block)
+    return _Series(turn[k], psi[k], np.sin(psi[k - 1]) * dt[k], dt[k], block)
 
 
 def _of_run(run: Trajectory, cue: float | None) -> dict[str, _Series]:
@@ -254,16 +262,43 @@ def _bearings(tracks: Tracks) -> np.ndarray:
     return bearing
 
 
+def _left(psi: np.ndarray, dt: np.ndarray, kappa: float) -> np.ndarray:
+    """The cue as seen from the heading after dt: tan(psi/2) falls by exp(-kappa dt)."""
+    fall = np.exp(np.clip(-kappa * dt, -700.0, 700.0))
+    return np.asarray(2.0 * np.arctan2(np.sin(0.5 * psi) * fall, np.cos(0.5 * psi)))
+
+
 def _instrumental(cells: list[_Series]) -> tuple[float, float]:
     """kappa and its standard error; see the module."""
-    y, x, z = (np.concatenate([getattr(c, n) for c in cells]) for n in ("y", "x", "z"))
-    pull = float(z @ x)
-    if not abs(pull) > 1e-9 * float(x @ x):
+    y, psi, z, dt = (
+        np.concatenate([getattr(c, n) for c in cells]) for n in ("y", "psi", "z", "dt")
+    )
+    pull = float(z @ (dt * np.sin(psi)))
+    if not abs(pull) > 1e-9 * float(dt @ dt):
         raise DataError("headings do not leave their cue: no turn says how fast they follow it")
     kappa = float(z @ y) / pull
+    most = 5.0 / float(np.median(dt))  # faster than that a heading is at its cue in one interval
+    for _ in range(50):  # Newton from the explicit step
+        after = _left(psi, dt, kappa)
+        slope = float(z @ (dt * np.sin(after)))
+        if not abs(slope) > 1e-9 * abs(pull):
+            raise DataError(
+                "cells reach the cue within one interval: how fast they turn is not seen; take "
+                "frames more often"
+            )
+        change = float(z @ (y - (psi - after))) / slope
+        kappa += float(np.clip(change, -0.2 * most, 0.2 * most))
+        if abs(change) <= 1e-12 * most:
+            break
+    if not abs(kappa) < most:
+        raise DataError(
+            f"kappa comes out as {kappa:.3g} 1/s, beyond {most:.3g}: not seen at this interval of "
+            "frames; take them more often"
+        )
+    pull = float(z @ (dt * np.sin(_left(psi, dt, kappa))))
     total = 0.0
     for c in cells:
-        score = c.z * (c.y - kappa * c.x)
+        score = c.z * (c.y - (c.psi - _left(c.psi, c.dt, kappa)))
         total += float(score @ score)
         for lag, weight in ((1, 2.0 / 3.0), (2, 1.0 / 3.0)):
             if len(score) > lag:
@@ -275,15 +310,19 @@ def _instrumental(cells: list[_Series]) -> tuple[float, float]:
 
 def _noise(cells: list[_Series], kappa: float) -> tuple[float, float, float]:
     """sigma^2 with its standard error, and the error of a heading, from what turns leave over."""
-    squares, products, times = [], [], []
+    squares, products, times, kept = [], [], [], []
     for c in cells:
-        left = c.y - kappa * c.x
+        left = c.y - (c.psi - _left(c.psi, c.dt, kappa))
         same = c.block[1:] == c.block[:-1]
         squares.append(left**2)
         products.append((left[1:] * left[:-1])[same])
         times.append(c.dt)
+        fall = 2.0 * kappa * np.cos(c.psi) * c.dt
+        kept.append(
+            np.where(np.abs(fall) > 1e-9, -np.expm1(-fall) / np.where(fall, fall, 1.0), 1.0)
+        )
     second, cross = np.concatenate(squares), np.concatenate(products)
-    dt = float(np.mean(np.concatenate(times)))
+    dt = float(np.mean(np.concatenate(times) * np.concatenate(kept)))
     together = float(cross.mean()) if cross.size else 0.0
     sigma2 = max((float(second.mean()) + 2.0 * together) / dt, 0.0)
     n = max(len(second), 1)
