@@ -27,8 +27,8 @@ import numpy as np
 from scipy.stats import norm
 
 from cellsys.arguments import checked
+from cellsys.design.track_headings import bearings_of, headings_of
 from cellsys.errors import DataError, ParameterError
-from cellsys.kinds import Count, Seed
 from cellsys.loop.polarity import PolarityLaw
 from cellsys.shown import Shown
 from cellsys.tracks import Tracks
@@ -228,38 +228,11 @@ def _of_tracks(tracks: Tracks, cue: float | None) -> dict[str, _Series]:
     if tracks.time_unit != "s":
         raise DataError("rates need times in s: tracks.scaled(frame_interval=...)")
     found = {}
-    bearing = _bearings(tracks) if cue is None else np.full(len(tracks), cue)
-    for name, theta in _headings(tracks).items():
+    bearing = bearings_of(tracks) if cue is None else np.full(len(tracks), cue)
+    for name, theta in headings_of(tracks).items():
         phi = bearing[tracks.cells[name]]
         found[name] = _series(tracks.times(name), theta, phi)
     return found
-
-
-def _headings(tracks: Tracks) -> dict[str, np.ndarray]:
-    """Direction of the step after each spot of every cell, NaN after the last, rad."""
-    found = {}
-    for name in tracks.cells:
-        step = np.diff(tracks.path(name)[:, :2], axis=0)
-        theta = np.full(len(step) + 1, np.nan)
-        moves = np.hypot(step[:, 0], step[:, 1]) > 0
-        theta[:-1][moves] = np.arctan2(step[moves, 1], step[moves, 0])
-        found[name] = theta
-    return found
-
-
-def _bearings(tracks: Tracks) -> np.ndarray:
-    """Direction from every spot to the nearest other one of its frame, NaN for a lone one, rad."""
-    bearing = np.full(len(tracks), np.nan)
-    order = np.argsort(tracks.frame, kind="stable")
-    for rows in np.split(order, np.flatnonzero(np.diff(tracks.frame[order])) + 1):
-        if len(rows) < 2:
-            continue
-        x = tracks.place[rows, :2]
-        apart = np.linalg.norm(x[:, None] - x[None], axis=2)
-        np.fill_diagonal(apart, np.inf)
-        way = x[apart.argmin(axis=1)] - x
-        bearing[rows] = np.arctan2(way[:, 1], way[:, 0])
-    return bearing
 
 
 def _left(psi: np.ndarray, dt: np.ndarray, kappa: float) -> np.ndarray:
@@ -329,100 +302,3 @@ def _noise(cells: list[_Series], kappa: float) -> tuple[float, float, float]:
     # Var of a square 2 v^2, of a product of neighbours about v^2; the two nearly uncorrelated.
     error = float(np.sqrt(second.var() / n + 4.0 * cross.var() / max(cross.size, 1))) / dt
     return sigma2, error, float(np.sqrt(max(-together, 0.0)))
-
-
-@checked
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Attraction(Shown):
-    """Whether cells head for their neighbour beyond chance.
-
-    Parameters
-    ----------
-    mean_cosine : float
-        Of the angle between movement and the way to the nearest cell, over time and cells: 1 all
-        towards, 0 indifferent, -1 all away.
-    interval : (float, float)
-        At `level`, by resampling cells.
-    null : array (shuffles,)
-        The same where every cell is given the neighbour of another one.
-    p_value : float
-        Share of the null, and itself, at least as large.
-    level : float
-    cells : int
-    """
-
-    mean_cosine: float
-    interval: tuple[float, float]
-    null: np.ndarray
-    p_value: float
-    level: float
-    cells: int
-
-    def __str__(self) -> str:
-        return (
-            f"Attraction: mean cosine {self.mean_cosine:.3f} ({100 * self.level:g} %: "
-            f"{self.interval[0]:.3f} to {self.interval[1]:.3f}) of {self.cells} cells; shuffled "
-            f"{self.null.mean():.3f} +- {self.null.std():.3f}, p = {self.p_value:.3g}"
-        )
-
-
-@checked
-def pair_attraction(
-    tracks: Tracks | Sequence[Tracks],
-    *,
-    shuffles: Count = 500,
-    level: float = 0.95,
-    seed: Seed = 0,
-) -> Attraction:
-    """Mean heading towards the nearest cell, against shuffled neighbours.
-
-    In the null every cell keeps its movement and is given the directions to a neighbour of
-    another cell, from a random moment on: what is left is what a common drift would show.
-
-    Parameters
-    ----------
-    tracks : Tracks, or a list of them
-        One movie each.
-    shuffles : int
-    level : float
-    seed : int
-
-    Raises
-    ------
-    DataError
-        Fewer than four cells that move beside another one.
-    """
-    if not 0.0 < real_number(level, "level") < 1.0:
-        raise ParameterError(f"level must be in (0, 1), got {level!r}")
-    pairs: list[tuple[np.ndarray, np.ndarray]] = []
-    for movie in [tracks] if isinstance(tracks, Tracks) else tracks:
-        bearing = _bearings(movie)
-        for name, theta in _headings(movie).items():
-            phi = bearing[movie.cells[name]]
-            good = np.isfinite(theta) & np.isfinite(phi)
-            if good.sum() >= 2:
-                pairs.append((theta[good], phi[good]))
-    if len(pairs) < 4:
-        raise DataError(f"{len(pairs)} cells move beside another one; at least four are needed")
-    rng = np.random.default_rng(seed)
-    own = np.array([np.cos(theta - phi).mean() for theta, phi in pairs])
-    null = np.empty(shuffles)
-    for k in range(shuffles):
-        order = rng.permutation(len(pairs))
-        values = []
-        for i, j in zip(range(len(pairs)), order, strict=True):
-            theta, phi = pairs[i][0], pairs[j][1]
-            start = int(rng.integers(len(phi)))
-            values.append(np.cos(theta - np.resize(np.roll(phi, start), len(theta))).mean())
-        null[k] = np.mean(values)
-    picks = rng.integers(len(own), size=(shuffles, len(own)))
-    low, high = np.quantile(own[picks].mean(axis=1), [0.5 - 0.5 * level, 0.5 + 0.5 * level])
-    mean = float(own.mean())
-    return Attraction(
-        mean_cosine=mean,
-        interval=(float(low), float(high)),
-        null=null,
-        p_value=float((1 + np.sum(null >= mean)) / (1 + shuffles)),
-        level=level,
-        cells=len(pairs),
-    )
