@@ -24,6 +24,7 @@ SCRIPTS = sorted(
         *(ROOT / "analysis").glob("*.py"),
         *(ROOT / "analysis" / "thesis").glob("fig*.py"),
         ROOT / "analysis" / "thesis" / "smooth_case.py",
+        ROOT / "analysis" / "thesis" / "appendix.py",
     ],
     key=lambda p: p.name,
 )

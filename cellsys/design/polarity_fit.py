@@ -108,11 +108,12 @@ class PolarityFit(Shown):
 
 
 class _Series(NamedTuple):
-    """Of one cell: turns y, cues psi as seen from the heading, instruments z, intervals; runs of
-    following turns by number."""
+    """Of one cell: turns y, cues psi as seen from the heading, instruments z, intervals; and
+    which turns follow each other, by the number of their block."""
 
     y: np.ndarray
     psi: np.ndarray
+    pull: np.ndarray  # interval times strength of the cue
     z: np.ndarray
     dt: np.ndarray
     block: np.ndarray
@@ -123,6 +124,7 @@ def fit_polarity(
     data: Tracks | Trajectory | Sequence[Tracks | Trajectory],
     *,
     cue: float | None = None,
+    unit_cue: bool = False,
     level: float = 0.95,
 ) -> PolarityFit:
     """Fit kappa, noise and cue gain of the polarity law to headings.
@@ -134,6 +136,10 @@ def fit_polarity(
         nearest other cell. Runs: polarity and sensed direction as they were recorded.
     cue : float, optional
         A fixed direction instead, rad: of a gradient, say.
+    unit_cue : bool
+        Of a run: whether its law turns to the unit vector along the sensed direction
+        (``closed_loop(..., normalise=True)``); default: the length of d is the cue's strength, as
+        in [thesis 72] and in full-order scenes.
     level : float
         Of the intervals, which hold for many turns: errors are robust against unequal noise and
         against what following turns share (Newey & West, 1987, two lags within a cell).
@@ -159,7 +165,7 @@ def fit_polarity(
     found: dict[str, _Series] = {}
     for number, item in enumerate(sets):
         head = f"{number}." if len(sets) > 1 else ""
-        cells = _of_tracks(item, cue) if isinstance(item, Tracks) else _of_run(item, cue)
+        cells = _of_tracks(item, cue) if isinstance(item, Tracks) else _of_run(item, cue, unit_cue)
         found |= {f"{head}{name}": series for name, series in cells.items() if len(series.y)}
     turns = sum(len(s.y) for s in found.values())
     if turns < 20:
@@ -192,23 +198,26 @@ def fit_polarity(
     )
 
 
-def _series(t: np.ndarray, theta: np.ndarray, phi: np.ndarray) -> _Series:
+def _series(
+    t: np.ndarray, theta: np.ndarray, phi: np.ndarray, strength: np.ndarray | None = None
+) -> _Series:
     """Turns, cues and instruments of headings theta at times t, NaN where there is none."""
     whole = np.isfinite(theta) & np.isfinite(phi)
     dt = np.diff(t)
     turn = (np.diff(theta) + np.pi) % (2.0 * np.pi) - np.pi
     psi = (phi - theta + np.pi) % (2.0 * np.pi) - np.pi
     k = np.arange(1, len(t) - 1)
+    pull = dt if strength is None else dt * strength[:-1]
     usual = float(np.median(dt)) if len(dt) else 0.0
     even = np.abs(dt - usual) <= 0.1 * usual  # a turn over a gap is another turn
     good = whole[k] & whole[k - 1] & whole[k + 1] & even[k] & even[k - 1]
     k = k[good]
     block = np.cumsum(np.diff(k, prepend=k[:1] - 1) > 1) if k.size else k
     # The instrument: cue and heading of the step before.
-    return _Series(turn[k], psi[k], np.sin(psi[k - 1]) * dt[k], dt[k], block)
+    return _Series(turn[k], psi[k], pull[k], np.sin(psi[k - 1]) * pull[k], dt[k], block)
 
 
-def _of_run(run: Trajectory, cue: float | None) -> dict[str, _Series]:
+def _of_run(run: Trajectory, cue: float | None, unit_cue: bool) -> dict[str, _Series]:
     p = run.polarities
     if cue is None and run.d is None:
         raise DataError("the run has no sensed direction; give cue=, a fixed direction")
@@ -217,10 +226,13 @@ def _of_run(run: Trajectory, cue: float | None) -> dict[str, _Series]:
         theta = np.arctan2(p[:, cell, 1], p[:, cell, 0])
         if cue is not None or run.d is None:
             phi = np.full(len(theta), 0.0 if cue is None else cue)
+            size = None
         else:
             d = np.asarray(run.d)[:, cell]
-            phi = np.where(np.hypot(d[:, 0], d[:, 1]) > 0, np.arctan2(d[:, 1], d[:, 0]), np.nan)
-        found[f"cell{cell + 1}"] = _series(np.asarray(run.t), theta, phi)
+            size = np.hypot(d[:, 0], d[:, 1])
+            phi = np.where(size > 0, np.arctan2(d[:, 1], d[:, 0]), np.nan)
+            size = None if unit_cue else size
+        found[f"cell{cell + 1}"] = _series(np.asarray(run.t), theta, phi, size)
     return found
 
 
@@ -244,7 +256,7 @@ def _left(psi: np.ndarray, dt: np.ndarray, kappa: float) -> np.ndarray:
 def _instrumental(cells: list[_Series]) -> tuple[float, float]:
     """kappa and its standard error; see the module."""
     y, psi, z, dt = (
-        np.concatenate([getattr(c, n) for c in cells]) for n in ("y", "psi", "z", "dt")
+        np.concatenate([getattr(c, n) for c in cells]) for n in ("y", "psi", "z", "pull")
     )
     pull = float(z @ (dt * np.sin(psi)))
     if not abs(pull) > 1e-9 * float(dt @ dt):
@@ -271,7 +283,7 @@ def _instrumental(cells: list[_Series]) -> tuple[float, float]:
     pull = float(z @ (dt * np.sin(_left(psi, dt, kappa))))
     total = 0.0
     for c in cells:
-        score = c.z * (c.y - (c.psi - _left(c.psi, c.dt, kappa)))
+        score = c.z * (c.y - (c.psi - _left(c.psi, c.pull, kappa)))
         total += float(score @ score)
         for lag, weight in ((1, 2.0 / 3.0), (2, 1.0 / 3.0)):
             if len(score) > lag:
@@ -285,12 +297,12 @@ def _noise(cells: list[_Series], kappa: float) -> tuple[float, float, float]:
     """sigma^2 with its standard error, and the error of a heading, from what turns leave over."""
     squares, products, times, kept = [], [], [], []
     for c in cells:
-        left = c.y - (c.psi - _left(c.psi, c.dt, kappa))
+        left = c.y - (c.psi - _left(c.psi, c.pull, kappa))
         same = c.block[1:] == c.block[:-1]
         squares.append(left**2)
         products.append((left[1:] * left[:-1])[same])
         times.append(c.dt)
-        fall = 2.0 * kappa * np.cos(c.psi) * c.dt
+        fall = 2.0 * kappa * np.cos(c.psi) * c.pull
         kept.append(
             np.where(np.abs(fall) > 1e-9, -np.expm1(-fall) / np.where(fall, fall, 1.0), 1.0)
         )

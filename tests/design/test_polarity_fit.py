@@ -1,5 +1,7 @@
 """The polarity law from measured headings: coverage of its intervals, and what is no attraction."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -81,6 +83,10 @@ def test_a_run_gives_back_the_gain_it_was_made_with():
                         d=d[:, None])  # fmt: skip
     fit = cs.fit_polarity(run)
     assert fit.kappa == pytest.approx(0.02, rel=0.03)
+    # a cue of half the strength: twice the kappa by the law with lengths, the same by the unit one
+    weak = dataclasses.replace(run, d=0.5 * np.asarray(run.d))
+    assert cs.fit_polarity(weak).kappa == pytest.approx(2 * fit.kappa)
+    assert cs.fit_polarity(weak, unit_cue=True).kappa == pytest.approx(fit.kappa)
     assert fit.noise < 1e-3
 
 
