@@ -11,6 +11,7 @@ import scipy.sparse.linalg as spla
 from scipy.spatial import cKDTree
 
 from cellsys.errors import ParameterError
+from cellsys.mechanics.geometry.network import FibreNetwork, spread_nodes
 
 DENSITY = 2000.0 / (np.pi * 30.0**2 * 2.0)  # nodes per um^3: 2000 in the thesis's disc
 COORDINATION = 9.0  # fibres per node: central-force networks are rigid above 6
@@ -19,35 +20,19 @@ SURFACE_DEPTH = 0.7  # um: nodes this close to the top plane carry adhesions
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Disc:
+class Disc(FibreNetwork):
     """A network of fibres filling a flat cylinder, top plane z = 0.
 
     Parameters
     ----------
     radius, thickness : float
         um.
-    position : array (n, 3)
-        Rest positions of the nodes, um.
-    fibres : int array (n_fibres, 2)
-        Node pairs.
-    length : array (n_fibres,)
-        Rest lengths, um.
-    stiffness : array (n_fibres,)
-        Axial stiffness EA/length of each fibre, pN/um.
     clamped : bool array (n,)
-        Rim nodes that do not move.
-    surface : int array
-        Nodes that adhesions can reach.
+        Rim nodes that do not move; the rest is that of `FibreNetwork`.
     """
 
     radius: float
     thickness: float
-    position: np.ndarray
-    fibres: np.ndarray
-    length: np.ndarray
-    stiffness: np.ndarray
-    clamped: np.ndarray
-    surface: np.ndarray
 
 
 def disc_nodes(
@@ -55,29 +40,15 @@ def disc_nodes(
 ) -> np.ndarray:
     """Random points in a flat cylinder, -thickness <= z <= 0, none closer than about 0.87 spacings.
 
-    Dart throwing in batches (Poisson-disc sampling); the least distance shrinks by 2 % whenever
-    60 batches in a row have not filled the disc.
+    See `spread_nodes`.
     """
-    spacing = (np.pi * radius**2 * thickness / n_nodes) ** (1.0 / 3.0)
-    least, x, tries = 0.87 * spacing, np.zeros((0, 3)), 0
-    while len(x) < n_nodes:
-        if tries == 60:
-            least, tries = 0.98 * least, 0
-        tries += 1
-        batch = max(2 * n_nodes, 200)
+
+    def throw(batch: int) -> np.ndarray:
         angle, r = rng.uniform(0, 2 * np.pi, batch), radius * np.sqrt(rng.uniform(0, 1, batch))
         depth = -thickness * rng.uniform(0, 1, batch)
-        darts = np.column_stack([r * np.cos(angle), r * np.sin(angle), depth])
-        if len(x):
-            darts = darts[np.asarray(cKDTree(x).query(darts)[0]) >= least]
-        # Among darts of one batch the earlier one stands.
-        standing = np.ones(len(darts), bool)
-        pairs = cKDTree(darts).query_pairs(least, output_type="ndarray") if len(darts) else ()
-        for i, j in sorted(map(tuple, np.sort(pairs, axis=1))) if len(pairs) else ():
-            if standing[i]:
-                standing[j] = False
-        x = np.concatenate([x, darts[standing]])[:n_nodes]
-    return x
+        return np.column_stack([r * np.cos(angle), r * np.sin(angle), depth])
+
+    return spread_nodes(throw, np.pi * radius**2 * thickness, n_nodes)
 
 
 def connect(x: np.ndarray, coordination: float) -> np.ndarray:
