@@ -338,6 +338,9 @@ class MatrixKind(Protocol[_Scene, _Cell]):
     def build(self, scene: _Scene) -> OdeSystem:
         """The full-order system of the scene."""
 
+    def control(self, scene: _Scene) -> Any:
+        """The matrix that each cell of the scene is alone on, for comparison; None for none."""
+
     def place_cells(self, scene: _Scene) -> None:
         """Refuse cells of the scene that have no place here, each by its number."""
 

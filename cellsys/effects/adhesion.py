@@ -46,6 +46,7 @@ class FocalAdhesion(ClutchLaw, ClusterLaw):
         least=0.0,
         source="working set [notes: mechanics, clutch]",
         about="vertical stiffness",
+        elsewhere={"gel": None},
     )
     on_rate: float = parameter(
         "0.1 1/s",
@@ -60,6 +61,7 @@ class FocalAdhesion(ClutchLaw, ClusterLaw):
         above=0.0,
         source="chosen here [notes: mechanics, clutch]",
         about="unloaded unbinding",
+        elsewhere={"gel": "1/40 1/s"},
     )
     reinforcement: float = parameter(
         "0",
@@ -93,6 +95,7 @@ class FocalAdhesion(ClutchLaw, ClusterLaw):
         "um",
         source="working set [notes: mechanics, clutch]",
         about="binding height",
+        elsewhere={"gel": None},
     )
     width: float = parameter(
         "0.2 um",
@@ -100,6 +103,7 @@ class FocalAdhesion(ClutchLaw, ClusterLaw):
         above=0.0,
         source="working set [notes: mechanics, clutch]",
         about="width of the binding height",
+        elsewhere={"gel": None},
     )
     reach: float = parameter(
         "3 um",
@@ -107,6 +111,7 @@ class FocalAdhesion(ClutchLaw, ClusterLaw):
         above=0.0,
         source="working set [notes: mechanics, clutch]",
         about="radius of the load's weights",
+        elsewhere={"gel": "5 um"},
     )
     # switching: a whole cluster has 2000 pN/um and fails at 430 pN. The prototype's 700 pN
     # were reached with F_L on bound nodes too; here it acts on free nodes only.
@@ -177,13 +182,19 @@ class FocalAdhesion(ClutchLaw, ClusterLaw):
         about="myosin stall",
     )
 
+    def refusal(self, kind: str) -> str | None:
+        if kind == "gel" and self.kinetics == "switching":
+            return "clusters bind to the top of a flat matrix; set kinetics = 'clutch'"
+        return super().refusal(kind)
+
     def elements(self, site: Site) -> tuple[Element, ...]:
         if site.matrix is None:
             raise SceneError("focal_adhesion needs a matrix; add [matrix] to the scene")
         if self.kinetics == "clutch":
             from cellsys.effects.clutch import ClutchElement
+            from cellsys.effects.embedded import foothold
 
-            return (ClutchElement(self, site.body, site.matrix),)
+            return (ClutchElement(self, site.body, foothold(site, self.reach)),)
         if self.reinforcement > 0.0:
             raise SceneError(
                 f"focal_adhesion.reinforcement = {self.reinforcement:g} is a law of the motor "
@@ -191,4 +202,4 @@ class FocalAdhesion(ClutchLaw, ClusterLaw):
             )
         from cellsys.effects.switching import SwitchingElement
 
-        return (SwitchingElement(self, site.body, site.matrix),)
+        return (SwitchingElement(self, site.body, site.disc),)

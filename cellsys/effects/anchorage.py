@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cellsys.effects.footing import Footing
+from cellsys.effects.footing import Foothold
 from cellsys.effects.protocol import Configuration, Element
 
 
@@ -20,7 +20,7 @@ class Anchorage(Element):
     """
 
     array: str
-    footing: Footing
+    footing: Foothold
 
     @abstractmethod
     def strengths(self, s: Configuration) -> np.ndarray:

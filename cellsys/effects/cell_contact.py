@@ -38,6 +38,16 @@ def surface_contact(
     """
     energy = 0.0
     low, high = np.full(3, 1e300), np.full(3, -1e300)
+    middle, ball = np.zeros(3), 0.0
+    for j in range(y.shape[0]):
+        for k in range(3):
+            middle[k] += y[j, k] / y.shape[0]
+    for j in range(y.shape[0]):
+        square = 0.0
+        for k in range(3):
+            square += (y[j, k] - middle[k]) ** 2
+        ball = max(ball, square)
+    ball = (np.sqrt(ball) + reach) ** 2
     for j in range(y.shape[0]):
         for k in range(3):
             low[k], high[k] = min(low[k], y[j, k] - reach), max(high[k], y[j, k] + reach)
@@ -47,6 +57,11 @@ def surface_contact(
         if p[0] < low[0] or p[1] < low[1] or p[2] < low[2]:
             continue
         if p[0] > high[0] or p[1] > high[1] or p[2] > high[2]:
+            continue
+        square = 0.0
+        for k in range(3):
+            square += (p[k] - middle[k]) ** 2
+        if square > ball:
             continue
         d, best_t = signed_distance(
             p, y, triangles, across, face, vertex, longest, share, best_share

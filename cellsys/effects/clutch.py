@@ -1,4 +1,12 @@
-"""Motor clutches of one cell on the surface nodes of the matrix; parameters in `adhesion`."""
+"""Motor clutches of one cell on the nodes of the matrix in reach; parameters in `adhesion`.
+
+    n' = k_on s (1 - n) - k_off n
+    S' = n (sum_j w_ij v_j - (sum_j w_ij) v_i + v_m e_i) - k_off S
+
+One law for every matrix. A `Foothold` gives the weights w, the share s of k_on that finds a
+matrix, and in how many axes the clutch pulls: in the plane of a disc, in space in a gel. e_i
+points away from the middle of the cell.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +17,12 @@ import numpy as np
 from cellsys.effects import clutch_kernels as kernels
 from cellsys.effects.anchorage import Anchorage
 from cellsys.effects.bond_laws import ClutchLaw
-from cellsys.effects.footing import Footing, NodalLoad, Weights
+from cellsys.effects.footing import Foothold, NodalLoad, Weights
 from cellsys.effects.matrix import MATRIX, FibreElement
 from cellsys.effects.protocol import CellBody, Configuration, Element, Port, Stiffness
 from cellsys.effects.tangent import diagonal
-from cellsys.geometry.disc import Disc
 from cellsys.laws.clutch import reinforced_rate
 from cellsys.system import Block
-
-
-def rim_factor(x: np.ndarray, radius: float) -> np.ndarray:
-    """1 inside, 0 beyond 0.9 of the disc's radius, linear over 4 % of it: no bonds at the rim."""
-    return np.clip((0.9 * radius - np.hypot(x[:, 0], x[:, 1])) / (0.04 * radius), 0.0, 1.0)
 
 
 class ClutchElement(Anchorage):
@@ -30,23 +32,21 @@ class ClutchElement(Anchorage):
     happens at k_off0 (1 + alpha k_h/(k + k_h)), k the stiffness of the matrix under the clutch.
     """
 
-    def __init__(self, effect: ClutchLaw, cell: CellBody, disc: Disc) -> None:
-        self.effect, self.disc = effect, disc
+    def __init__(self, effect: ClutchLaw, cell: CellBody, footing: Foothold) -> None:
+        self.effect, self.footing = effect, footing
         self.name = f"{cell.name}.{effect.name}"
         self.array = cell.name
         n = len(cell.membrane.position)
         self.ports = (
             Port(cell.name, self.name),
-            Port(MATRIX, f"{MATRIX}.{effect.name}.{cell.name}"),
+            footing.port(effect.name),
         )
         self.strength, self.stretch = f"{cell.name}.bond_strength", f"{cell.name}.bond_stretch"
         self.internal = (
             Block(self.strength, (n,), "1", role="component", kind="internal"),
-            Block(self.stretch, (n, 2), "um", role="component", kind="internal"),
+            Block(self.stretch, (n, footing.axes), "um", role="component", kind="internal"),
         )
-        self.footing = Footing(cell.name, disc, effect.reach)
-        self.bins = self.footing.bins
-        self._load = NodalLoad(disc)
+        self._load = NodalLoad(footing.matrix)
         self._carried: tuple[Callable[[Configuration], np.ndarray], ...] = ()
         self._fibres: FibreElement | None = None
         self._off_rates = np.full(n, effect.off_rate)
@@ -70,7 +70,7 @@ class ClutchElement(Anchorage):
         return s.internal[self.strength]
 
     def pulls(self, s: Configuration) -> np.ndarray:
-        """k_b S (n, 2), pN."""
+        """k_b S (n, 2), in a gel (n, 3), pN."""
         return self.effect.stiffness * s.internal[self.stretch]
 
     def _loads(self, s: Configuration) -> np.ndarray:
@@ -100,15 +100,16 @@ class ClutchElement(Anchorage):
             stiffness = self._fibres.nodal(s)["stiffness"]
             under = np.empty(len(count))
             kernels.gather_scalar(stiffness, index, weight, count, under)
+            under /= np.maximum(self.footing.hold(s), 1e-12)
             s.cache[key] = reinforced_rate(
                 e.off_rate, under, e.reinforcement, e.reinforcement_stiffness
             )
         return s.cache[key]
 
-    def _rim(self, s: Configuration) -> np.ndarray:
-        key = self.name + ".rim"
+    def _on_rates(self, s: Configuration) -> np.ndarray:
+        key = self.name + ".on"
         if key not in s.cache:
-            s.cache[key] = rim_factor(s.nodes[self.array], self.disc.radius)
+            s.cache[key] = self.footing.on_rates(s, self.effect)
         return s.cache[key]
 
     def efforts(self, s: Configuration, out: tuple[np.ndarray, ...]) -> None:
@@ -119,13 +120,16 @@ class ClutchElement(Anchorage):
             s.internal[self.strength],
             s.internal[self.stretch],
             *self._weights(s),
+            self.footing.hold(s),
             e.stiffness,
             e.zipper,
             *out,
         )
 
     def energy(self, s: Configuration) -> float:
-        """Zipper energy only: the stretch follows velocities, not positions."""
+        """Zipper energy only: the stretch follows velocities, not positions; none in a gel."""
+        if self.footing.axes == 3:
+            return 0.0
         index, weight, count = self._weights(s)
         z = s.nodes[self.array][:, 2].copy()
         z -= (weight * s.nodes[MATRIX][index, 2]).sum(axis=1)
@@ -133,20 +137,18 @@ class ClutchElement(Anchorage):
         return 0.5 * self.effect.zipper * float(n @ z**2)
 
     def rates(self, s: Configuration, v: dict[str, np.ndarray], out: tuple) -> None:
-        slip = np.empty((len(v[self.array]), 2))
+        axes = self.footing.axes
+        slip = np.empty((len(v[self.array]), axes))
         kernels.gather(v[MATRIX], *self._weights(s), slip)
-        slip -= v[self.array][:, :2]
+        slip -= self.footing.hold(s)[:, None] * v[self.array][:, :axes]
         e = self.effect
         kernels.clutch_rates(
             s.nodes[self.array],
             s.internal[self.strength],
             s.internal[self.stretch],
-            self._rim(s),
+            self._on_rates(s),
             slip,
             self._loads(s),
-            e.on_rate,
-            e.height,
-            e.width,
             self.off_rates(s),
             e.force_scale,
             e.retrograde_speed,
@@ -164,13 +166,14 @@ class ClutchElement(Anchorage):
     def _follow(self, s: Configuration, at: Configuration, end: Configuration, dt: float) -> None:
         """The bonds of `end`, by the rates and weights at `at`."""
         e, x = self.effect, s.nodes[self.array]
-        slip = np.empty((len(x), 2))
+        slip = np.empty((len(x), self.footing.axes))
         kernels.slip(
             s.nodes[MATRIX],
             end.nodes[MATRIX],
             x,
             end.nodes[self.array],
             *self._weights(at),
+            self.footing.hold(at),
             dt,
             slip,
         )
@@ -178,14 +181,11 @@ class ClutchElement(Anchorage):
             at.nodes[self.array],
             s.internal[self.strength],
             s.internal[self.stretch],
-            self._rim(at),
+            self._on_rates(at),
             slip,
             dt,
             at.internal[self.strength],
             self._loads(at),
-            e.on_rate,
-            e.height,
-            e.width,
             self.off_rates(at),
             e.force_scale,
             e.retrograde_speed,
@@ -198,6 +198,14 @@ class ClutchElement(Anchorage):
         # Bond strengths grow by at most k_on per second: a margin of 0.2 lasts until the next look.
         n = np.minimum(s.internal[self.strength] + 0.2, 1.0)
         self._load.look(n, self._weights(s))
+        if self.footing.axes == 3:
+            bound = self._load
+            return (
+                Stiffness(self.array, (0, 1, 2), lambda: diagonal(e.stiffness * n), None),
+                Stiffness(
+                    MATRIX, (0, 1, 2), lambda: diagonal(e.stiffness * bound.bound), bound.key
+                ),
+            )
         greatest = max(e.stiffness, e.zipper)
         return (
             Stiffness(self.array, (0, 1), lambda: diagonal(e.stiffness * n), None),

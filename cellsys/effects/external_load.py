@@ -12,12 +12,14 @@ from cellsys.effects.matrix import MATRIX
 from cellsys.effects.patch import MatrixPatch
 from cellsys.effects.protocol import Configuration, Element, Port, Site, parameter
 from cellsys.errors import SceneError
-from cellsys.geometry.disc import Disc
+from cellsys.geometry.network import FibreNetwork, offsets
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExternalLoad(MatrixPatch):
     """A force history spread over the surface nodes of a round patch of the matrix.
+
+    In a gel the patch is a ball about (x, y, 0).
 
     `patches` are further loads of the same kind that act together with this one.
     """
@@ -38,11 +40,11 @@ class ExternalLoad(MatrixPatch):
         return "what pulls on the matrix from outside"
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_LoadElement(self, site.disc),)
+        return (_LoadElement(self, site.network),)
 
 
 class _LoadElement(Element):
-    def __init__(self, effect: ExternalLoad, disc: Disc) -> None:
+    def __init__(self, effect: ExternalLoad, disc: FibreNetwork) -> None:
         self.effect = effect
         self.name = f"{MATRIX}.{effect.name}"
         self.outside = effect.outside_work
@@ -58,10 +60,10 @@ class _LoadElement(Element):
         return tuple(t for patch, _ in self.parts for t in patch.history.times)
 
 
-def _pattern(patch: ExternalLoad, disc: Disc) -> np.ndarray:
+def _pattern(patch: ExternalLoad, disc: FibreNetwork) -> np.ndarray:
     """Nodal forces (n, 3) of one patch at factor 1."""
-    xy = disc.position[:, :2] - (patch.x, patch.y)
-    weight = np.clip(1.0 - (xy**2).sum(axis=1) / patch.radius**2, 0.0, None)
+    away = offsets(disc, patch.x, patch.y)
+    weight = np.clip(1.0 - (away**2).sum(axis=1) / patch.radius**2, 0.0, None)
     weight[disc.clamped] = 0.0
     mask = np.zeros(len(weight))
     mask[disc.surface] = 1.0
@@ -69,7 +71,7 @@ def _pattern(patch: ExternalLoad, disc: Disc) -> np.ndarray:
     if not weight.any():
         raise SceneError(
             f"external_load at ({patch.x:g}, {patch.y:g}) um, radius {patch.radius:g} um, "
-            "covers no free matrix node; move it inside the disc or enlarge it"
+            "covers no free matrix node; move it inside the matrix or enlarge it"
         )
     unit = np.array([np.cos(patch.direction), np.sin(patch.direction), 0.0])
     return patch.force * (weight / weight.sum())[:, None] * unit

@@ -13,7 +13,7 @@ from cellsys.effects.matrix import MATRIX
 from cellsys.effects.patch import MatrixPatch
 from cellsys.effects.protocol import Configuration, Element, Held, Site, parameter
 from cellsys.errors import SceneError
-from cellsys.geometry.disc import Disc
+from cellsys.geometry.network import FibreNetwork, offsets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,26 +51,31 @@ class ExternalStrain(MatrixPatch):
         return "what holds the moved nodes takes up their forces"
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (_StrainElement(self, site.disc),)
+        return (_StrainElement(self, site.network),)
 
 
 class _StrainElement(Element):
-    def __init__(self, effect: ExternalStrain, disc: Disc) -> None:
+    def __init__(self, effect: ExternalStrain, disc: FibreNetwork) -> None:
         self.effect = effect
         self.outside = effect.outside_work
         self.name = f"{MATRIX}.{effect.name}"
         center = np.zeros(2) if effect.region == "rim" else np.array([effect.x, effect.y])
-        offset = disc.position[:, :2] - center
+        offset = offsets(disc, *center)
         nodes = disc.clamped
         if effect.region == "patch":
-            nodes = np.hypot(*offset.T) <= effect.radius
+            nodes = np.linalg.norm(offset, axis=1) <= effect.radius
+        if not nodes.any() and effect.region == "rim":
+            raise SceneError(
+                "external_strain.region = 'rim' moves the clamped nodes of the matrix, and it has "
+                "none; set matrix.ends = 'clamped', or move a patch"
+            )
         if not nodes.any():
             raise SceneError(
                 f"external_strain at ({effect.x:g}, {effect.y:g}) um, radius {effect.radius:g} um, "
-                "covers no matrix node; move the patch inside the disc or enlarge it"
+                "covers no matrix node; move the patch inside the matrix or enlarge it"
             )
         along = np.array([np.cos(effect.direction), np.sin(effect.direction), 0.0])
-        reach = effect.displacement + effect.strain * (offset[nodes] @ along[:2])
+        reach = effect.displacement + effect.strain * (offset[nodes, :2] @ along[:2])
         self.nodes, self.pattern = nodes, reach[:, None] * along
         self.holds = (Held(MATRIX, nodes),)
 

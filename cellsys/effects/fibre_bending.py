@@ -21,7 +21,7 @@ from cellsys.effects.protocol import (
     parameter,
 )
 from cellsys.effects.tangent import laplacian
-from cellsys.geometry.disc import Disc
+from cellsys.geometry.network import FibreNetwork
 
 _SOFT = 1e-6  # of |t1 x t2|^2: the angle of two fibres in line has a gradient
 
@@ -99,10 +99,10 @@ class FibreBending(Effect):
     )  # fmt: skip
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (BendingElement(self, site.disc),)
+        return (BendingElement(self, site.network),)
 
 
-def straight_pairs(disc: Disc, most: float) -> np.ndarray:
+def straight_pairs(disc: FibreNetwork, most: float) -> np.ndarray:
     """Triples (i, j, k), int (m, 3): fibres i-j and j-k that deviate by less than `most`, rad."""
     ends = np.concatenate([disc.fibres, disc.fibres[:, ::-1]])
     ends = ends[np.lexsort((ends[:, 1], ends[:, 0]))]
@@ -120,7 +120,7 @@ def straight_pairs(disc: Disc, most: float) -> np.ndarray:
 class BendingElement(Element):
     """Bending of every pair of fibres that met at a node at rest."""
 
-    def __init__(self, effect: FibreBending, disc: Disc) -> None:
+    def __init__(self, effect: FibreBending, disc: FibreNetwork) -> None:
         self.disc = disc
         self.name = f"{MATRIX}.{effect.name}"
         self.ports = (Port(MATRIX, self.name),)

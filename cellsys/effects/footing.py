@@ -1,14 +1,50 @@
-"""Where a cell stands on the matrix: the surface nodes under every membrane node, with weights."""
+"""Where a cell holds the matrix: the nodes in reach of every membrane node, with weights."""
 
 from __future__ import annotations
+
+from abc import ABC, abstractmethod
 
 import numpy as np
 
 from cellsys.effects import clutch_kernels as kernels
-from cellsys.effects.protocol import Configuration
+from cellsys.effects.bond_laws import ClutchLaw
+from cellsys.effects.protocol import Configuration, Port
 from cellsys.geometry.disc import Disc
+from cellsys.geometry.network import FibreNetwork
 
 Weights = tuple[np.ndarray, np.ndarray, np.ndarray]  # index, weight, count
+
+
+class Foothold(ABC):
+    """What a clutch asks of the place where a cell holds its matrix.
+
+    `axes`: in how many it pulls, 2 on a disc and 3 in a gel.
+    """
+
+    axes: int
+    array: str
+    matrix: FibreNetwork
+
+    @abstractmethod
+    def weights(self, s: Configuration) -> Weights:
+        """(index, weight, count) at a configuration, found once for all who ask."""
+
+    @abstractmethod
+    def hold(self, s: Configuration) -> np.ndarray:
+        """Sum of the weights of every membrane node (n,), in [0, 1]."""
+
+    @abstractmethod
+    def on_rates(self, s: Configuration, law: ClutchLaw) -> np.ndarray:
+        """Binding of every membrane node (n,), 1/s."""
+
+    @abstractmethod
+    def port(self, name: str) -> Port:
+        """Where the forces of an effect on the matrix go."""
+
+
+def rim_factor(x: np.ndarray, radius: float) -> np.ndarray:
+    """1 inside, 0 beyond 0.9 of the disc's radius, linear over 4 % of it: no bonds at the rim."""
+    return np.clip((0.9 * radius - np.hypot(x[:, 0], x[:, 1])) / (0.04 * radius), 0.0, 1.0)
 
 
 class SurfaceBins:
@@ -51,19 +87,40 @@ class SurfaceBins:
         return index, weight, count
 
 
-class Footing:
-    """Weights of one cell's nodes on the matrix; elements of the same reach share them."""
+class Footing(Foothold):
+    """Weights of one cell's nodes on a disc; elements of the same reach share them."""
+
+    axes = 2
 
     def __init__(self, array: str, disc: Disc, reach: float) -> None:
-        self.array, self.disc = array, disc
+        self.array, self.matrix, self.disc = array, disc, disc
         self.bins = SurfaceBins(disc, reach)
         self._key = f"{array}.footing.{reach!r}"
+        self._whole = np.ones(0)
 
     def weights(self, s: Configuration) -> Weights:
         """(index, weight, count) at a configuration, found once for all who ask."""
         if self._key not in s.cache:
             s.cache[self._key] = self.bins.weights(s.nodes[self.array])
         return s.cache[self._key]
+
+    def hold(self, s: Configuration) -> np.ndarray:
+        n = len(s.nodes[self.array])
+        if len(self._whole) != n:
+            self._whole = np.ones(n)
+        return self._whole
+
+    def on_rates(self, s: Configuration, law: ClutchLaw) -> np.ndarray:
+        """k_on in the height of the bonds, away from the rim."""
+        x = s.nodes[self.array]
+        out = np.empty(len(x))
+        rim = rim_factor(x, self.disc.radius)
+        kernels.binding_rates(x, rim, law.on_rate, law.height, law.width, out)
+        return out
+
+    def port(self, name: str) -> Port:
+        """One of every cell, which read-outs of tractions tell apart."""
+        return Port("matrix", f"matrix.{name}.{self.array}")
 
 
 class NodalLoad:
@@ -72,7 +129,7 @@ class NodalLoad:
     The bound never falls below `floor` on the surface.
     """
 
-    def __init__(self, disc: Disc, floor: float = 0.0) -> None:
+    def __init__(self, disc: FibreNetwork, floor: float = 0.0) -> None:
         self.disc, self.floor, self.key = disc, floor, 0
         self.forget()
 

@@ -20,7 +20,8 @@ from cellsys.effects.protocol import (
     parameter,
 )
 from cellsys.effects.tangent import diagonal
-from cellsys.geometry.disc import Disc, StiffnessAssembly
+from cellsys.geometry.disc import StiffnessAssembly
+from cellsys.geometry.network import FibreNetwork
 from cellsys.laws.fibre import NEVER, FibreLaw
 from cellsys.laws.sensing import nodal_sum, tensile_virial
 
@@ -91,6 +92,7 @@ class MatrixElasticity(Effect):
         most=1.0,
         source="working set [notes: matrix, fibres]",
         about="slope in compression",
+        elsewhere={"gel": "0.1"},
     )
     blend: float = parameter(
         "0.002",
@@ -116,13 +118,13 @@ class MatrixElasticity(Effect):
         return FibreLaw(self.buckling_ratio, self.blend, onset, self.greatest_slope - 1.0)
 
     def elements(self, site: Site) -> tuple[Element, ...]:
-        return (FibreElement(self, site.disc),)
+        return (FibreElement(self, site.network),)
 
 
 class FibreElement(Element):
     """All fibres of the matrix as one C-field."""
 
-    def __init__(self, effect: MatrixElasticity, disc: Disc) -> None:
+    def __init__(self, effect: MatrixElasticity, disc: FibreNetwork) -> None:
         self.disc, self.law = disc, effect.fibre_law()
         self.name = f"{MATRIX}.{effect.name}"
         self.ports = (Port(MATRIX, self.name),)
@@ -230,7 +232,10 @@ class Foundation(Effect):
 
     name: ClassVar[str] = "foundation"
     acts_on: ClassVar[str] = "matrix"
-    not_on: ClassVar[dict[str, str]] = {"chain": "a chain is held by its two walls only"}
+    not_on: ClassVar[dict[str, str]] = {
+        "chain": "a chain is held by its two walls only",
+        "gel": "there is no support below a gel; its ends hold it",
+    }
     spring: float = parameter(
         "500 pN/um",
         "pN/um",
@@ -248,7 +253,7 @@ class Foundation(Effect):
 
 
 class _FoundationElement(Element):
-    def __init__(self, effect: Foundation, disc: Disc) -> None:
+    def __init__(self, effect: Foundation, disc: FibreNetwork) -> None:
         self.spring, self.disc = effect.spring, disc
         self.outside = effect.outside_work
         self.name = f"{MATRIX}.{effect.name}"

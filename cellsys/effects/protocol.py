@@ -22,6 +22,7 @@ from cellsys.effects.commands import Commands
 from cellsys.errors import ParameterError, SceneError
 from cellsys.geometry.disc import Disc
 from cellsys.geometry.membrane import Membrane
+from cellsys.geometry.network import FibreNetwork
 from cellsys.system import Block, Event
 from cellsys.units import quantity
 
@@ -42,11 +43,13 @@ def parameter(
     source: str = "",
     about: str = "",
     once: str = "",
+    elsewhere: Mapping[str, str | None] | None = None,
 ) -> Any:
     """A dataclass field with unit, bounds, source and meaning in its metadata.
 
     `default` is a quantity string ("500 pN/um"), one of the ``choices``, or a bool. Scene files
-    may also call the parameter by the name it had `once`.
+    may also call the parameter by the name it had `once`. `elsewhere` are the defaults in scene
+    files with other kinds of matrix, by kind; None: the parameter has no meaning there.
     """
     plain = choices is not None or isinstance(default, bool)
     value = default if plain else quantity(default, unit, name="default")
@@ -62,6 +65,10 @@ def parameter(
             "source": source,
             "about": about,
             "once": once,
+            "elsewhere": {
+                kind: None if other is None else quantity(other, unit, name="elsewhere")
+                for kind, other in (elsewhere or {}).items()
+            },
         },
     )
 
@@ -151,6 +158,16 @@ class Effect:
         """`needs` with what these parameters ask for besides."""
         return self.needs
 
+    def refusal(self, kind: str) -> str | None:
+        """Why these parameters have no meaning on a kind of matrix; None where they have one."""
+        if kind in self.not_on:
+            return self.not_on[kind]
+        for item in dataclasses.fields(self):
+            set_here = getattr(self, item.name) != item.default
+            if set_here and item.metadata.get("elsewhere", {}).get(kind, 0) is None:
+                return f"{item.name} is set and means nothing there; leave it out"
+        return None
+
     def arrays(self, site: Site) -> tuple[JunctionArray, ...]:
         """Node arrays that this effect adds at one site."""
         return ()
@@ -164,13 +181,13 @@ class Effect:
 class Site:
     """Where an effect is built: a cell (or None) on a matrix (or None).
 
-    `body` and `disc` are the cell and the matrix of a site that must have them. `cells` and
-    `arrays` hold all bodies and node arrays of the scene, `built` the elements that
+    `body`, `network` and `disc` are the cell, the matrix and a flat matrix of a site that must
+    have them. `cells` and `arrays` hold all bodies and node arrays of the scene, `built` the elements that
     stand already: the matrix before the cells, the cells one after the other.
     """
 
     cell: CellBody | None
-    matrix: Disc | None
+    matrix: FibreNetwork | None
     commands: Commands | None
     effects: dict[str, Effect]
     cells: tuple[CellBody, ...] = ()
@@ -185,11 +202,21 @@ class Site:
         return self.cell
 
     @property
-    def disc(self) -> Disc:
+    def network(self) -> FibreNetwork:
         """The site's matrix; SceneError where there is none."""
         if self.matrix is None:
             raise SceneError("this effect needs a matrix; add [matrix] to the scene")
         return self.matrix
+
+    @property
+    def disc(self) -> Disc:
+        """The site's matrix, a flat one; SceneError where there is none."""
+        if not isinstance(self.network, Disc):
+            raise SceneError(
+                f"this effect needs a flat matrix under the cells, and the scene has a "
+                f"{type(self.network).__name__}; leave the effect out"
+            )
+        return self.network
 
     @property
     def commanded(self) -> Commands:
@@ -230,7 +257,10 @@ class Held(NamedTuple):
 
 
 class Port(NamedTuple):
-    """A nodal port: element forces on junction array `array`, stored as eta block `block`."""
+    """A nodal port: element forces on junction array `array`, stored as eta block `block`.
+
+    Elements that name the same block share it: each adds to what is there.
+    """
 
     array: str
     block: str

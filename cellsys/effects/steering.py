@@ -56,6 +56,7 @@ class Lamellipodium(ProtrusionLaw):
         above=0.0,
         source="working set [notes: mechanics, lamellipodium]",
         about="height at which it vanishes",
+        elsewhere={"gel": None},
     )
     edge: float = parameter(
         "0.1",
@@ -76,6 +77,7 @@ class Lamellipodium(ProtrusionLaw):
         least=0.0,
         source="assumed [notes: mechanics, lamellipodium]",
         about="downward part of the direction",
+        elsewhere={"gel": None},
     )
     reaction: str = parameter(
         "none",
@@ -106,6 +108,14 @@ class Lamellipodium(ProtrusionLaw):
     def outside_work(self) -> str:
         return "" if self.reaction == "clutch" else "a source: nothing takes up the reaction"
 
+    def refusal(self, kind: str) -> str | None:
+        if kind == "gel" and self.reaction == "clutch":
+            return (
+                "reaction = 'clutch' balances couples about the normal of a flat matrix; set "
+                "reaction = 'none'"
+            )
+        return super().refusal(kind)
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.full > self.edge:
@@ -116,7 +126,8 @@ class Lamellipodium(ProtrusionLaw):
 
     def elements(self, site: Site) -> tuple[Element, ...]:
         if self.reaction == "none":
-            return (LamellipodiumElement(self, site.body, site.commanded),)
+            flat = site.matrix is None or site.matrix.flat
+            return (LamellipodiumElement(self, site.body, site.commanded, 2 if flat else 3),)
         from cellsys.effects.protrusion import ProtrusionElement
 
         return (ProtrusionElement(self, site.body, site.disc, site.commanded),)
@@ -125,8 +136,11 @@ class Lamellipodium(ProtrusionLaw):
 class LamellipodiumElement(CommandedPush):
     """Source of effort Se on the membrane array; enters u, not eta."""
 
-    def __init__(self, effect: Lamellipodium, cell: CellBody, commands: Commands) -> None:
+    def __init__(
+        self, effect: Lamellipodium, cell: CellBody, commands: Commands, axes: int = 2
+    ) -> None:
         super().__init__(effect, cell, commands)
+        self.axes = axes
         self.inputs = (Port(cell.name, self.name),)
         self.bonds = f"{cell.name}.bond_number"
 
@@ -140,6 +154,7 @@ class LamellipodiumElement(CommandedPush):
             e.edge,
             e.full,
             e.downward,
+            self.axes,
         )
         bonds = s.internal.get(self.bonds)
         if bonds is not None:
@@ -235,6 +250,7 @@ class PolarityElement(Element):
         self.name = f"{cell.name}.polarity"
         self.array = cell.name
         self.internal = (Block(self.name, (3,), "1", role="controller", kind="internal"),)
+        self.axes = 2 if fibres is None or fibres.disc.flat else 3
         self._ends = np.ones(0)
         if sensing is not None and fibres is not None and not sensing.unit:
             self._ends = fibre_ends(len(fibres.disc.position), fibres.disc.fibres)
@@ -250,22 +266,24 @@ class PolarityElement(Element):
         if self.sensing is None or self.fibres is None:
             return p.copy()
         if not self.sensing.unit:
-            return np.array([*graded(self.contrast(s), self.sensing.noise), 0.0])
+            d = np.zeros(3)
+            d[: self.axes] = graded(self.contrast(s), self.sensing.noise)
+            return d
         slope, tension = self.fibres.slopes(s)
         disc, center = self.fibres.disc, s.nodes[self.array].mean(axis=0)
         nodes = disc.position + s.nodes[MATRIX]
         if self.sensing.measure == "stress":
             return stress_direction(
                 nodes, disc.fibres, tension * disc.length, center, p,
-                self.sensing.inner, self.sensing.reach, self.sensing.threshold,
+                self.sensing.inner, self.sensing.reach, self.sensing.threshold, self.axes,
             )  # fmt: skip
         return stiffest_direction(
             nodes, disc.fibres, slope * disc.stiffness, center, p,
-            self.sensing.reach, self.sensing.threshold,
+            self.sensing.reach, self.sensing.threshold, self.axes,
         )  # fmt: skip
 
     def contrast(self, s: Configuration) -> np.ndarray:
-        """g (2,) of the stiffness per fibre, or of the tensile stress in its shell."""
+        """g (2,), in a gel (3,), of the stiffness per fibre, or of the tensile stress in its shell."""
         sensing, fibres = self.sensing, self.fibres
         if sensing is None or fibres is None:
             raise SceneError(f"{self.array} senses nothing: add stiffness_sensing to the scene")
@@ -273,11 +291,11 @@ class PolarityElement(Element):
         nodes = disc.position + s.nodes[MATRIX]
         if sensing.measure == "stiffness":
             measure = nodal_mean(disc.fibres, fibres.unbuckled(s), self._ends)
-            return contrast(nodes, measure, center, sensing.reach)
+            return contrast(nodes, measure, center, sensing.reach, self.axes)
         _, tension = fibres.slopes(s)
         virial = tensile_virial(len(nodes), disc.fibres, tension * disc.length)
-        q, total = measure_moment(nodes, virial, center, sensing.inner, sensing.reach)
-        return q / total if total > 0.0 else np.zeros(2)
+        q, total = measure_moment(nodes, virial, center, sensing.inner, sensing.reach, self.axes)
+        return q / total if total > 0.0 else np.zeros(self.axes)
 
     def describe(self) -> dict[str, np.ndarray]:
         if self.sensing is None or self.fibres is None or self.sensing.unit:

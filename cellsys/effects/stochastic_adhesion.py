@@ -35,7 +35,8 @@ class StochasticAdhesion(ClusterLaw):
     }
     active: ClassVar[bool] = True
     not_on: ClassVar[dict[str, str]] = {
-        "chain": "its adhesions are adhesion_lead and adhesion_trail of [[cells]]"
+        "chain": "its adhesions are adhesion_lead and adhesion_trail of [[cells]]",
+        "gel": "its clusters bind to the top of a flat matrix; use focal_adhesion",
     }
     bonds: float = parameter(
         "50",
@@ -117,7 +118,7 @@ class StochasticAdhesion(ClusterLaw):
     def elements(self, site: Site) -> tuple[Element, ...]:
         if site.matrix is None:
             raise SceneError("stochastic_adhesion needs a matrix; add [matrix] to the scene")
-        return (_StochasticElement(self, site.body, site.matrix),)
+        return (_StochasticElement(self, site.body, site.disc),)
 
 
 class _StochasticElement(SwitchingElement):

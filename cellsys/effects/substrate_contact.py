@@ -41,7 +41,8 @@ class SubstrateContact(Effect):
 
     name: ClassVar[str] = "substrate_contact"
     not_on: ClassVar[dict[str, str]] = {
-        "chain": "a crawler moves along the chain and does not press on it"
+        "chain": "a crawler moves along the chain and does not press on it",
+        "gel": "a cell lies in the gel, not on it; use matrix_contact",
     }
     stiffness: float = parameter(
         "1000 pN/um",
@@ -78,7 +79,7 @@ class SubstrateContact(Effect):
             )
         law = site.find(ClutchLaw)
         reach = _ALONE if law is None else law.reach
-        return (MatrixWallElement(self, site.body, site.matrix, reach),)
+        return (MatrixWallElement(self, site.body, site.disc, reach),)
 
 
 class WallElement(Element):

@@ -11,7 +11,7 @@ import scipy.sparse.linalg as spla
 from scipy.spatial import cKDTree
 
 from cellsys.errors import ParameterError
-from cellsys.mechanics.geometry.network import FibreNetwork, spread_nodes
+from cellsys.geometry.network import FibreNetwork, spread_nodes
 
 DENSITY = 2000.0 / (np.pi * 30.0**2 * 2.0)  # nodes per um^3: 2000 in the thesis's disc
 COORDINATION = 9.0  # fibres per node: central-force networks are rigid above 6
@@ -33,6 +33,10 @@ class Disc(FibreNetwork):
 
     radius: float
     thickness: float
+
+    @property
+    def flat(self) -> bool:
+        return True
 
 
 def disc_nodes(

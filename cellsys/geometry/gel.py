@@ -16,8 +16,8 @@ import scipy.sparse.linalg as spla
 from scipy.sparse.csgraph import connected_components
 
 from cellsys.errors import DataError, ParameterError
-from cellsys.mechanics.geometry.disc import COORDINATION, StiffnessAssembly, connect
-from cellsys.mechanics.geometry.network import FibreNetwork, spread_nodes
+from cellsys.geometry.disc import COORDINATION, StiffnessAssembly, connect
+from cellsys.geometry.network import FibreNetwork, spread_nodes
 
 GRIP = 3.0  # um at either end that are held
 MARGIN = 0.3  # um between a cell and the nearest nodes
@@ -40,12 +40,26 @@ class Gel(FibreNetwork):
         Nodes that adhesions can reach: all that are not held. The rest is that of
         `FibreNetwork`.
     lateral : int array
-        Nodes of the lateral boundary: no node lies farther out within a spacing and a half.
+        Nodes of the lateral boundary, within 0.6 spacings of it.
     """
 
     shape: str
     size: tuple[float, float, float]
     lateral: np.ndarray
+
+    def describe(self) -> dict[str, np.ndarray]:
+        lateral = {"matrix.lateral": self.lateral, "matrix.outward": self.outward}
+        return {**super().describe(), **lateral, "matrix.size": np.array(self.size)}
+
+    @property
+    def outward(self) -> np.ndarray:
+        """Unit normals of the lateral boundary at its nodes (n_lateral, 3)."""
+        x = self.position[self.lateral] * np.array([0.0, 1.0, 1.0])
+        if self.shape == "box":
+            depth = 0.5 * np.asarray(self.size) - np.abs(x)
+            near = depth[:, 1] <= depth[:, 2]
+            x = x * np.column_stack([0.0 * near, near, ~near])
+        return x / np.linalg.norm(x, axis=1, keepdims=True)
 
     @property
     def spacing(self) -> float:
@@ -58,9 +72,7 @@ def volume_of(shape: str, size: tuple[float, float, float]) -> float:
     return float(np.prod(size)) * (0.25 * np.pi if shape == "cylinder" else 1.0)
 
 
-def depth_of(
-    shape: str, size: tuple[float, float, float], x: np.ndarray
-) -> np.ndarray:
+def depth_of(shape: str, size: tuple[float, float, float], x: np.ndarray) -> np.ndarray:
     """How far points (n, 3) lie inside the lateral boundary (n,), um."""
     if shape == "cylinder":
         return 0.5 * size[1] - np.hypot(x[:, 1], x[:, 2])
@@ -104,7 +116,7 @@ def relaxed_uniaxial_modulus(
 
 
 def _lateral(shape: str, size: tuple[float, float, float], x: np.ndarray) -> np.ndarray:
-    """Nodes within half a spacing of the lateral boundary."""
+    """Nodes within 0.6 spacings of the lateral boundary."""
     spacing = np.cbrt(volume_of(shape, size) / len(x))
     return np.flatnonzero(depth_of(shape, size, x) < 0.6 * spacing)
 

@@ -36,10 +36,27 @@ class FibreNetwork:
     clamped: np.ndarray
     surface: np.ndarray
 
+    @property
+    def flat(self) -> bool:
+        """Whether cells lie on it; else they lie in it, and all it does has three axes."""
+        return False
 
-def spread_nodes(
-    throw: Callable[[int], np.ndarray], volume: float, n_nodes: int
-) -> np.ndarray:
+    def describe(self) -> dict[str, np.ndarray]:
+        """What a run keeps of it in its ``geometry``."""
+        return {
+            "matrix.rest": self.position,
+            "matrix.surface": self.surface,
+            "matrix.fibres": self.fibres,
+        }
+
+
+def offsets(network: FibreNetwork, x: float, y: float) -> np.ndarray:
+    """Nodes from the place (x, y), um: (n, 2) of a flat network, else (n, 3) from (x, y, 0)."""
+    axes = 2 if network.flat else 3
+    return network.position[:, :axes] - np.array([x, y, 0.0])[:axes]
+
+
+def spread_nodes(throw: Callable[[int], np.ndarray], volume: float, n_nodes: int) -> np.ndarray:
     """Random points (n_nodes, 3), none closer than about 0.87 spacings.
 
     Dart throwing in batches (Poisson-disc sampling): `throw(k)` gives k points that fill the

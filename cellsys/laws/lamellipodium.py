@@ -1,8 +1,10 @@
 """Protrusion force of the leading edge.
 
     F_i = F (1 - z/h)_+ w(cos angle(e_r, p)) (e_r - c e_z)                   [thesis 4.4]
+    F_i = F w(cos angle(e_r, p)) e_r                                         in a gel
 
-e_r is the outward radial direction from the centroid in the substrate plane, w the smoothstep
+e_r is the outward radial direction from the centroid, in the substrate plane or in space where the
+sector is a cone, w the smoothstep
 from cosine `edge` to cosine `full`: a hard sector edge would itself be a switch
 [notes: mechanics, lamellipodium].
 """
@@ -46,20 +48,23 @@ def protrusion(
     edge: float,
     full: float,
     downward: float,
+    axes: int = 2,
 ) -> np.ndarray:
-    """Force on each membrane node (n, 3), pN.
+    """Force on each membrane node (n, 3), pN; of 3 `axes` the push of a cell inside a gel.
 
     x : (n, 3) um; p : (3,) polarity, projected on the substrate plane (no force when p is
     normal to it); force in pN; height in um; edge, full: cosines; downward: -z part.
     """
-    heading = float(np.hypot(p[0], p[1]))
+    p = np.asarray(p)[:axes]
+    heading = float(np.hypot.reduce(p))
     out = np.zeros_like(x)
     if heading == 0.0 or force == 0.0:
         return out
-    away = x[:, :2] - x[:, :2].mean(axis=0)
+    away = x[:, :axes] - x[:, :axes].mean(axis=0)
     away = away / np.sqrt((away**2).sum(axis=1) + 1e-12)[:, None]
-    weight = smoothstep(away @ (np.asarray(p)[:2] / heading), edge, full)
-    weight *= force * np.clip(1.0 - x[:, 2] / height, 0.0, 1.0)
-    out[:, :2] = weight[:, None] * away
-    out[:, 2] = -downward * weight
+    weight = smoothstep(away @ (p / heading), edge, full)
+    weight *= force if axes == 3 else force * np.clip(1.0 - x[:, 2] / height, 0.0, 1.0)
+    if axes == 2:
+        out[:, 2] = -downward * weight
+    out[:, :axes] = weight[:, None] * away
     return out

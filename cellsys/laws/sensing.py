@@ -12,7 +12,8 @@ with the mean per fibre, so that the density of nodes drops out, and a fibre tha
 has buckled counted as an unbuckled one. g0 is of the size of what a homogeneous network shows
 [notes: mechanics, sensing].
 
-rho_j is the horizontal distance from the cell's centroid c. w_j falls smoothly from 1 to 0 over
+rho_j is the horizontal distance from the cell's centroid c; inside a gel, of 3 `axes`, the
+distance in space. w_j falls smoothly from 1 to 0 over
 the last um of the range (and over 1 um at the inner radius): a hard edge is a switch.
 Stiffness and stress compared: [notes: measurements, sensor].
 """
@@ -50,13 +51,18 @@ def nodal_mean(fibres: np.ndarray, value: np.ndarray, ends: np.ndarray) -> np.nd
 
 
 def measure_moment(
-    nodes: np.ndarray, measure: np.ndarray, center: np.ndarray, inner: float, reach: float
+    nodes: np.ndarray,
+    measure: np.ndarray,
+    center: np.ndarray,
+    inner: float,
+    reach: float,
+    axes: int = 2,
 ) -> tuple[np.ndarray, float]:
-    """q (2,) and S of a nodal measure (n,) about `center`; `inner` 0 takes the whole disc.
+    """q (axes,) and S of a nodal measure (n,) about `center`; `inner` 0 takes the whole disc.
 
     nodes (n, 2) or (n, 3) um; q and S in the unit of the measure.
     """
-    offset = nodes[:, :2] - center[:2]
+    offset = nodes[:, :axes] - center[:axes]
     rho = np.sqrt((offset**2).sum(axis=1) + 1e-12)
     window = 1.0 - smoothstep(rho, reach - 1.0, reach)
     if inner > 0:
@@ -66,25 +72,25 @@ def measure_moment(
 
 
 def contrast(
-    nodes: np.ndarray, measure: np.ndarray, center: np.ndarray, reach: float
+    nodes: np.ndarray, measure: np.ndarray, center: np.ndarray, reach: float, axes: int = 2
 ) -> np.ndarray:
-    """g (2,) of a nodal measure (n,) >= 0 about `center`: 0 where it is the same everywhere.
+    """g (axes,) of a nodal measure (n,) >= 0 about `center`: 0 where it is the same everywhere.
 
     nodes (n, 2) or (n, 3) um. A slope of the measure of a share a per um gives a reach/3.
     """
-    offset = nodes[:, :2] - center[:2]
+    offset = nodes[:, :axes] - center[:axes]
     rho = np.sqrt((offset**2).sum(axis=1) + 1e-12)
     window = 1.0 - smoothstep(rho, reach - 1.0, reach)
     total, whole = float(window.sum()), float(window @ measure)
     if total == 0.0 or whole == 0.0:
-        return np.zeros(2)
+        return np.zeros(axes)
     return (window * (measure - whole / total) / rho) @ offset / whole
 
 
 def graded(g: np.ndarray, noise: float) -> np.ndarray:
-    """Cue d (..., 2) of a contrast g (..., 2): |d| = x^2/(1 + x^2), x = |g|/noise."""
+    """Cue d (..., axes) of a contrast g (..., axes): |d| = x^2/(1 + x^2), x = |g|/noise."""
     x = np.asarray(g, dtype=float) / noise
-    size = np.hypot(x[..., :1], x[..., 1:])
+    size = np.hypot.reduce(x, axis=-1, keepdims=True)
     # x |x|/(1 + |x|^2) without a square that overflows
     return x / (size + np.divide(1.0, size, out=np.full_like(size, np.inf), where=size > 0))
 
@@ -103,9 +109,9 @@ def cue_rows(g: np.ndarray, noise: float) -> np.ndarray:
 
 
 def ungraded(d: np.ndarray, noise: float) -> np.ndarray:
-    """Contrast g (..., 2) whose cue is d (..., 2), |d| < 1: the inverse of `graded`."""
+    """Contrast g (..., axes) whose cue is d (..., axes), |d| < 1: the inverse of `graded`."""
     d = np.asarray(d, dtype=float)
-    size = np.hypot(d[..., :1], d[..., 1:])
+    size = np.hypot.reduce(d, axis=-1, keepdims=True)
     slope = np.sqrt(size * (1.0 - size))
     return noise * np.divide(d, slope, out=np.zeros_like(d), where=slope > 0)
 
@@ -129,13 +135,16 @@ def sensed_direction(
     inner: float,
     reach: float,
     threshold: float,
+    axes: int = 2,
 ) -> np.ndarray:
     """Unit direction (3,) of the moment of a nodal measure; p where nothing stands out."""
-    q, total = measure_moment(nodes, measure, center, inner, reach)
-    strength = float(np.hypot(q[0], q[1]))
+    q, total = measure_moment(nodes, measure, center, inner, reach, axes)
+    strength = float(np.hypot.reduce(q))
     if strength <= threshold * total or strength == 0.0:
         return np.array(p, dtype=float)
-    return np.array([*(q / strength), 0.0])
+    d = np.zeros(3)
+    d[:axes] = q / strength
+    return d
 
 
 def stiffest_direction(
@@ -146,13 +155,14 @@ def stiffest_direction(
     p: np.ndarray,
     reach: float,
     threshold: float,
+    axes: int = 2,
 ) -> np.ndarray:
-    """Unit direction d (3,) in the substrate plane of greatest tangent stiffness.
+    """Unit direction d (3,), in the substrate plane or in space, of greatest tangent stiffness.
 
     nodes (n, 3) um; fibres (m, 2); stiffness (m,) tangent, pN/um; center, p (3,).
     """
     measure = nodal_sum(len(nodes), fibres, stiffness)
-    return sensed_direction(nodes, measure, center, p, 0.0, reach, threshold)
+    return sensed_direction(nodes, measure, center, p, 0.0, reach, threshold, axes)
 
 
 def stress_direction(
@@ -164,10 +174,11 @@ def stress_direction(
     inner: float,
     reach: float,
     threshold: float,
+    axes: int = 2,
 ) -> np.ndarray:
     """Unit direction d (3,) of greatest tensile stress in the shell inner < rho < reach.
 
     virial (m,): tension times length of each fibre, pN um; compression does not count.
     """
     measure = tensile_virial(len(nodes), fibres, virial)
-    return sensed_direction(nodes, measure, center, p, inner, reach, threshold)
+    return sensed_direction(nodes, measure, center, p, inner, reach, threshold, axes)

@@ -10,7 +10,7 @@ from cellsys.effects.commands import Commands
 from cellsys.effects.matrix import MATRIX, Drag
 from cellsys.effects.protocol import CellBody, Effect, Element, JunctionArray
 from cellsys.errors import SceneError
-from cellsys.geometry.disc import Disc
+from cellsys.geometry.network import FibreNetwork
 from cellsys.system import Block
 
 
@@ -24,7 +24,7 @@ class CellSpec:
 
 
 def node_arrays(
-    cells: tuple[CellSpec, ...], matrix: Disc | None, drag: Drag
+    cells: tuple[CellSpec, ...], matrix: FibreNetwork | None, drag: Drag
 ) -> tuple[JunctionArray, ...]:
     """The membranes of all cells and the matrix, each node with its drag."""
     nodes = []

@@ -17,7 +17,7 @@ import numpy as np
 from cellsys.effects.matrix import Drag
 from cellsys.effects.protocol import Configuration, Effect, Element, JunctionArray, Site, Stiffness
 from cellsys.effects.tangent import combine
-from cellsys.geometry.disc import Disc
+from cellsys.geometry.network import FibreNetwork
 from cellsys.laws.sensing import nodal_sum
 from cellsys.mechanics.cholesky import SparseCholesky
 from cellsys.mechanics.junctions import Place, junction_graph, place_of, product
@@ -31,7 +31,7 @@ _Driven = tuple[Element, tuple[tuple[slice, tuple[int, ...], np.ndarray], ...], 
 
 def build_spreading(
     cells: tuple[CellSpec, ...],
-    matrix: Disc | None,
+    matrix: FibreNetwork | None,
     effects: dict[str, Effect],
     drag: Drag,
 ) -> SpreadingSystem:
@@ -89,7 +89,7 @@ class SpreadingSystem(OverdampedSystem):
     _made_by: ClassVar[str] = "cs.build(scene) of a scene on a disc"
 
     cells: tuple[CellSpec, ...]
-    matrix: Disc | None
+    matrix: FibreNetwork | None
     elements: tuple[Element, ...]
     arrays: tuple[JunctionArray, ...]
     _arrays: dict[str, str]  # block of each array
@@ -111,7 +111,7 @@ class SpreadingSystem(OverdampedSystem):
     def __init__(
         self,
         cells: tuple[CellSpec, ...],
-        matrix: Disc | None,
+        matrix: FibreNetwork | None,
         elements: tuple[Element, ...],
         nodes: tuple[JunctionArray, ...],
     ) -> None:
@@ -119,7 +119,7 @@ class SpreadingSystem(OverdampedSystem):
         inside = [b for e in elements for b in e.internal]
         equations = junction_graph(
             nodes,
-            [p for e in elements for p in e.ports],
+            list(dict.fromkeys(p for e in elements for p in e.ports)),
             [(b, np.asarray(e.initial(b), float)) for e in elements for b in e.internal],
         ).equations()
         states, auxiliaries = equations.states, equations.auxiliaries
@@ -261,14 +261,9 @@ class SpreadingSystem(OverdampedSystem):
         membranes = {f"{body.name}.triangles": body.membrane.triangles for body in bodies}
         if self.matrix is None:
             return membranes
-        disc = self.matrix
-        total = nodal_sum(len(disc.position), disc.fibres, disc.stiffness)
-        membranes |= {
-            "matrix.rest": disc.position,
-            "matrix.surface": disc.surface,
-            "matrix.fibres": disc.fibres,
-            "matrix.stiffness": total,
-        }
+        matrix = self.matrix
+        total = nodal_sum(len(matrix.position), matrix.fibres, matrix.stiffness)
+        membranes |= {**matrix.describe(), "matrix.stiffness": total}
         for element in self.elements:
             membranes |= element.describe()
         return membranes

@@ -304,6 +304,7 @@ def alone_scenes(scene: Scene) -> list[Scene]:
         replace(
             scene,
             cells=scene.cells[k : k + 1],
+            matrix=scene.matrix_kind.control(scene),
             name=f"{scene.name}, cell {k + 1} alone",
             until=None,
         )

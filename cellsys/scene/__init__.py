@@ -4,6 +4,7 @@ from cellsys.scene.build import build
 from cellsys.scene.chain import ChainScene
 from cellsys.scene.disc import MatrixScene
 from cellsys.scene.ensemble import run_ensemble, run_scene
+from cellsys.scene.gel import GelScene
 from cellsys.scene.inherit import preset_names
 from cellsys.scene.load import load_scene
 from cellsys.scene.parse import scene_schema
@@ -16,6 +17,7 @@ from cellsys.scene.training import training_scenes, turning_scenes
 __all__ = [
     "CellScene",
     "ChainScene",
+    "GelScene",
     "MatrixScene",
     "Plane",
     "Scene",

@@ -25,6 +25,7 @@ from cellsys.errors import ParameterError, SceneError
 from cellsys.kinds import parts_of
 from cellsys.scene.chain import ChainScene, ChainSceneTable, chain_parts
 from cellsys.scene.disc import MatrixScene
+from cellsys.scene.gel import GelScene
 from cellsys.scene.parts import CellScene, Gradient, Inclusion, Training
 from cellsys.scene.plan import Kind
 from cellsys.scene.registry import Registry
@@ -33,6 +34,8 @@ from cellsys.scene.tables import (
     CommandsTable,
     DiscSceneTable,
     DiscTable,
+    GelSceneTable,
+    GelTable,
     TomlTable,
     parameter_table,
 )
@@ -120,6 +123,7 @@ def _own(cls: type, kind: str) -> Form:
 def _plane_fields(
     parsed: Any, registry: Registry, matrix: Callable[[Any], Kind | None]
 ) -> dict[str, Any]:
+    kind = "none" if parsed.matrix is None else parsed.matrix.kind
     for name, value, least in (
         ("seed", parsed.seed, 0),
         ("training.runs", parsed.training.runs, 1),
@@ -147,13 +151,14 @@ def _plane_fields(
             CellScene(
                 position=c.position,
                 polarity=c.polarity,
+                elevation=c.elevation,
                 radius=c.radius,
-                effects=_effects(c.effects, registry) if c.effects is not None else {},
+                effects=_effects(c.effects, registry, kind) if c.effects is not None else {},
                 commands=_commands(c.commands) if c.commands is not None else None,
             )
             for c in parsed.cells
         ),
-        effects=_effects(parsed.effects, registry),
+        effects=_effects(parsed.effects, registry, kind),
         commands=_commands(parsed.commands),
         training=Training(**parsed.training.model_dump()),
         learn="training" in parsed.model_fields_set,
@@ -168,8 +173,29 @@ def _chain_fields(parsed: Any, registry: Registry) -> dict[str, Any]:
         sample=parsed.sample,
         matrix=matrix,
         cells=cells,
-        effects=_effects(parsed.effects, registry),
+        effects=_effects(parsed.effects, registry, "chain"),
     )
+
+
+def _gel_fields(parsed: Any, registry: Registry) -> dict[str, Any]:
+    """As of a disc, stepped by RKC unless the scene names another method."""
+    run = parsed.run
+    if run.stepper is None:
+        told = {"step": "step" in parsed.model_fields_set, "run.step": run.step is not None}
+        for key in (k for k, given in told.items() if given):
+            raise SceneError(
+                f"{key} is given and a gel is stepped by RKC, which finds its own; leave it out, or "
+                "name run.stepper"
+            )
+        if run.tolerance is None:
+            parsed = parsed.model_copy(update={"run": run.model_copy(update={"stepper": "auto"})})
+    return _plane_fields(parsed, registry, _gel)
+
+
+def _gel(table: GelTable) -> GelScene:
+    values = table.model_dump(exclude={"cavities"})
+    cavities = tuple((*c.center, c.radius) for c in table.cavities)
+    return GelScene(**values, cavities=cavities)
 
 
 def _disc(table: DiscTable | None) -> MatrixScene | None:
@@ -203,13 +229,18 @@ def _disc(table: DiscTable | None) -> MatrixScene | None:
     )
 
 
-def _effects(table: BaseModel, registry: Registry) -> dict[str, Effect]:
+def _effects(table: BaseModel, registry: Registry, matrix: str) -> dict[str, Effect]:
+    """Effects of a table, at their defaults on this kind of matrix where it says nothing."""
     effects = {}
     for name in sorted(table.model_fields_set, key=registry.place):
         values = getattr(table, name)
         if values is None:
             continue
         given = {k: getattr(values, k) for k in type(values).model_fields}
+        for item in dataclasses.fields(registry[name]):
+            other = item.metadata.get("elsewhere", {}).get(matrix)
+            if other is not None and given.get(item.name) is None:
+                given[item.name] = other
         effects[name] = _effect(registry[name], given)
     return effects
 
@@ -245,11 +276,17 @@ def _restored_disc(values: Mapping[str, Any]) -> MatrixScene:
     return MatrixScene(**{**values, "inclusion": inclusion, "gradient": gradient})
 
 
+def _restored_gel(values: Mapping[str, Any]) -> GelScene:
+    cavities = tuple(tuple(c) for c in values["cavities"])
+    return GelScene(**{**values, "cavities": cavities})
+
+
 def _restored_chain(values: Mapping[str, Any]) -> ChainScene:
     return ChainScene(**values)
 
 
 SHIPPED = {
     "disc": Form(DiscSceneTable, partial(_plane_fields, matrix=_disc), _restored_disc),
+    "gel": Form(GelSceneTable, _gel_fields, _restored_gel),
     "chain": Form(ChainSceneTable, _chain_fields, _restored_chain),
 }

@@ -103,6 +103,7 @@ def scene_from_plain(
         CellScene(
             position=tuple(c["position"]),
             polarity=c["polarity"],
+            elevation=c.get("elevation", 0.0),
             radius=c["radius"],
             effects=made(c["effects"]),
             commands=commands(c["commands"]),

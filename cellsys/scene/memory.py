@@ -20,6 +20,8 @@ PROGRAM = 215e6  # interpreter, libraries, and the machine code of the laws
 ADDRESSES = 0.15e9  # that the libraries ask for and do not touch
 _NODE = 17e3  # fibres, assembly, factors and states of one node of a disc
 _NODE_ADDRESSES = 61e3  # the solver of the network's modulus asks for its fill before it is known
+_GEL_NODE = 11e3  # of one node of a gel: fibres, assembly of its modulus, vectors of RKC
+_GEL_FILL = 180.0  # and of the factors of an implicit step, by the power 1.5
 _CELL = 0.45e6  # equations, tangents and states of one membrane
 _REACH = 720.0  # of a cell with adhesions, per node of the matrix: a nodal force of its own
 _ADHESIONS = ("focal_adhesion", "stochastic_adhesion")
@@ -72,6 +74,30 @@ def plane_memory(scene: ScenePlan, nodes: int, *, on_disk: bool, run: bool) -> M
         need += _REACH * cells * count
     asked = need + (_NODE_ADDRESSES - _NODE) * count
     return MemoryNeed(PROGRAM + need + kept(scene, record, on_disk), ADDRESSES + asked, record)
+
+
+def gel_memory(scene: ScenePlan, nodes: int, *, on_disk: bool, run: bool) -> MemoryNeed:
+    """Need of cells inside a gel of so many nodes.
+
+    Its cells share one force on its nodes. RKC keeps a dozen vectors; an implicit step factors
+    matrices whose fill grows as the power 1.5 of the nodes.
+    """
+    cells, count = float(len(scene.cells)), float(min(nodes, MOST_NODES))
+    laws = {
+        place: sum(effect.acts_on == place for effect in scene.effects.values())
+        for place in ("matrix", "cell", "cells")
+    }
+    states = 3.0 * count + 3.0 * NODES * cells * 2.4
+    forces = 3.0 * count * (laws["matrix"] + 2.0)
+    forces += 3.0 * NODES * cells * (laws["cell"] + laws["cells"])
+    record = 8.0 * len(scene.times) * (3.0 * states + forces) if run else 0.0
+    need = _GEL_NODE * count + _CELL * cells
+    if run and scene.stepper not in (None, "auto", "RKC"):
+        need += _GEL_FILL * count**1.5
+        if "volume" in scene.effects:
+            need += 2.0 * 8.0 * cells * 3.0 * (NODES * cells + count)
+    held = PROGRAM + need + kept(scene, record, on_disk)
+    return MemoryNeed(held, ADDRESSES + need + kept(scene, record, on_disk), record)
 
 
 def plane_words(scene: ScenePlan, nodes: int, cure: str) -> tuple[str, str]:

@@ -34,13 +34,35 @@ class Gradient:
 @checked
 @dataclass(frozen=True, kw_only=True)
 class CellScene:
-    """One cell: position of its centre in the plane (um), polarity angle (rad), radius (um)."""
+    """One cell: position of its centre (um), polarity angle (rad), radius (um).
 
-    position: tuple[float, float] = (0.0, 0.0)
+    The position is one in the plane, of a cell in a gel one in space (0 along z where it is left
+    out); its polarity points `elevation` (rad) out of the plane.
+    """
+
+    position: tuple[float, float] | tuple[float, float, float] = (0.0, 0.0)
     polarity: float = 0.0
+    elevation: float = 0.0
     radius: float = 8.0
     effects: Mapping[str, Effect] = field(default_factory=dict)
     commands: Commands | None = None
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Of the cell in space (3,), um; z is 0 where the position is one in the plane."""
+        return np.array([*self.position, 0.0][:3])
+
+    @property
+    def heading(self) -> np.ndarray:
+        """Unit vector (3,) of the polarity."""
+        across = np.cos(self.elevation)
+        return np.array(
+            [
+                np.cos(self.polarity) * across,
+                np.sin(self.polarity) * across,
+                np.sin(self.elevation),
+            ]
+        )
 
 
 @checked

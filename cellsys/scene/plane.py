@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from itertools import product
 
 import numpy as np
 
@@ -11,8 +12,8 @@ from cellsys.drawable import draw_by
 from cellsys.effects.matrix import Drag
 from cellsys.effects.protocol import CellBody, Effect, check_parameters
 from cellsys.errors import SceneError
-from cellsys.geometry.disc import Disc
 from cellsys.geometry.membrane import sphere
+from cellsys.geometry.network import FibreNetwork
 from cellsys.mechanics.crawler import Crawler
 from cellsys.mechanics.spreading import CellSpec, SpreadingSystem, build_spreading
 from cellsys.scene.compatibility import check_effects
@@ -43,6 +44,11 @@ class Plane:
         """What a scene file calls it, in matrix.kind."""
         return "none"
 
+    @property
+    def flat(self) -> bool:
+        """Whether cells lie on it."""
+        return True
+
     def __post_init__(self) -> None:
         if dataclasses.is_dataclass(self):
             check_parameters(self)
@@ -62,9 +68,9 @@ class Plane:
     def reach(self) -> float:
         """Radius of a circle about the middle, within which training puts its loads, um."""
         network = self.network(0)
-        return 0.0 if network is None else network.radius
+        return 0.0 if network is None else float(np.hypot(*network.position[:, :2].T).max())
 
-    def network(self, seed: int) -> Disc | None:
+    def network(self, seed: int) -> FibreNetwork | None:
         """Nodes and fibres; `seed` is that of the scene.
 
         `Disc` holds any flat network; beyond its `radius` from the middle nothing adheres.
@@ -75,18 +81,25 @@ class Plane:
         """Why a cell does not lie on the network, ending in the cure; None where it does."""
         return None
 
+    def around(self, scene: ScenePlan) -> FibreNetwork | None:
+        """The network of a scene, with what its cells make of it."""
+        return self.network(scene.seed)
+
+    def centre(self, cell: CellScene) -> tuple[float, float, float]:
+        """Where the middle of a cell starts, um: on the matrix."""
+        return (cell.position[0], cell.position[1], cell.radius + START_GAP)
+
+    def control(self, scene: ScenePlan) -> Plane | None:
+        """The matrix of a scene's cells one by one."""
+        return None if scene.matrix is None else self
+
     def build(self, scene: ScenePlan) -> SpreadingSystem:
         """The full-order system: only the effects that the scene names."""
-        matrix = self.network(scene.seed)
+        matrix = self.around(scene)
         effects = {n: e for n, e in _ordered(scene.effects) if e.acts_on != "cell"}
         cells = []
         for k, cell in enumerate(scene.membranes, start=1):
-            height = cell.radius + START_GAP
-            body = CellBody(
-                f"cell{k}",
-                sphere(cell.radius, (*cell.position, height)),
-                np.array([np.cos(cell.polarity), np.sin(cell.polarity), 0.0]),
-            )
+            body = CellBody(f"cell{k}", sphere(cell.radius, self.centre(cell)), cell.heading)
             every = _ordered({**scene.effects, **cell.effects})
             own = {n: e for n, e in every if e.acts_on == "cell"}
             cells.append(CellSpec(body, own, cell.commands or scene.commands))
@@ -102,6 +115,11 @@ class Plane:
                 raise SceneError(
                     f"cells[{i}].radius must be > 0 um, in [{_RADIUS[0]:g}, {_RADIUS[1]:g}] um, "
                     f"got {cell.radius!r}"
+                )
+            if self.flat and (len(cell.position) > 2 or cell.elevation != 0.0):
+                raise SceneError(
+                    f"cells[{i}] has a place or a polarity out of the plane, and {self.title} is "
+                    "flat; give position = [x, y] and no elevation, or take matrix.kind = 'gel'"
                 )
             why = self.outside(cell)
             if why is not None:
@@ -157,10 +175,10 @@ class Plane:
             )
         for effects in (scene.effects, *(c.effects for c in scene.membranes)):
             for name, effect in effects.items():
-                if self.kind in effect.not_on:
+                why = effect.refusal(self.kind)
+                if why is not None:
                     raise SceneError(
-                        f"effects.{name} has no meaning with matrix.kind = {self.kind!r}: "
-                        f"{effect.not_on[self.kind]}"
+                        f"effects.{name} has no meaning with matrix.kind = {self.kind!r}: {why}"
                     )
         on_matrix = scene.matrix is not None
         check_effects(scene.effects, [c.effects for c in scene.membranes], on_matrix)
@@ -204,18 +222,18 @@ def _ordered(effects: Mapping[str, Effect]) -> list[tuple[str, Effect]]:
 
 
 def _check_overlaps(cells: tuple[CellScene, ...]) -> None:
-    """Every cell against those in the squares around its own, as wide as two radii."""
+    """Every cell against those in the cubes around its own, as wide as two radii."""
     wide = 2.0 * max((c.radius for c in cells), default=1.0)
-    squares: dict[tuple[float, float], list[int]] = {}
+    cubes: dict[tuple[float, ...], list[int]] = {}
     for i, a in enumerate(cells):
-        x, y = (v // wide for v in a.position)
-        near = ((x + p, y + q) for p in (-1, 0, 1) for q in (-1, 0, 1))
-        for j in sorted(j for square in near for j in squares.get(square, ())):
+        here = tuple(v // wide for v in a.centre)
+        near = (tuple(np.add(here, step)) for step in product((-1, 0, 1), repeat=3))
+        for j in sorted(j for cube in near for j in cubes.get(cube, ())):
             b = cells[j]
-            gap = float(np.hypot(a.position[0] - b.position[0], a.position[1] - b.position[1]))
+            gap = float(np.hypot.reduce(a.centre - b.centre))
             if gap < a.radius + b.radius:
                 raise SceneError(
                     f"cells[{j}] and cells[{i}] overlap: centres {gap:.3g} um apart, radii "
                     f"{b.radius:g} + {a.radius:g} um; move them apart"
                 )
-        squares.setdefault((x, y), []).append(i)
+        cubes.setdefault(here, []).append(i)

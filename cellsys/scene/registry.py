@@ -51,6 +51,7 @@ LISTED: dict[str, str] = {
     "cell_contact": "cell_contact:CellContact",
     "matrix_degradation": "matrix_degradation:MatrixDegradation",
     "noise": "noise:Noise",
+    "matrix_contact": "matrix_contact:MatrixContact",
 }
 
 

@@ -24,7 +24,7 @@ from cellsys.scene.plan import Kind
 from cellsys.scene.plane import NO_MATRIX
 from cellsys.scene.registry import source_of
 from cellsys.scene.sampling import intervals
-from cellsys.scene.steppers import AUTO, check_stepping
+from cellsys.scene.steppers import check_stepping
 from cellsys.store.hashing import fingerprint
 
 E = TypeVar("E", bound=Effect)
@@ -36,7 +36,7 @@ _MOST_SAMPLES = 1e7  # their times alone are 80 MB, their states of any scene be
 class Scene:
     """A scene: matrix, cells, the effects that act, commands, and how long.
 
-    `matrix` is a `MatrixScene` (disc), a `ChainScene` or a kind of your own (`MatrixKind`). On a
+    `matrix` is a `MatrixScene` (disc), a `GelScene`, a `ChainScene` or a kind of your own (`MatrixKind`). On a
     chain the cells are `Crawler` objects, `effects` and `commands` are empty,
     and `training`, `seed` and `step` are not used.
 
@@ -163,6 +163,9 @@ class Scene:
         for key in ("stepper", "tolerance", "until"):
             if table[key] is None:  # as scenes were written that knew no such choice
                 table.pop(key)
+        for cell in table["cells"]:
+            if cell.get("elevation") == 0.0:
+                cell.pop("elevation")
         if self.matrix is not None:
             origin = source_of(type(self.matrix))
             own = {"kind": self.matrix.kind, "origin": origin} if origin else {}
@@ -179,7 +182,7 @@ class Scene:
         for key in ("name", "training"):
             table.pop(key)
         if self.stepper == "auto":  # what it chooses may be another one tomorrow
-            table["method"] = repr(AUTO)
+            table["method"] = repr(self.matrix_kind.method(self))
         from cellsys.store.processor import processor_kind
 
         return fingerprint(table, _version(), processor_kind())

@@ -113,6 +113,12 @@ class BySystem:
         return self.of(system).start(system, t0, x0, rng)
 
 
+# Of a gel, whose factors fill as the power 1.5 of its nodes: explicit, without any.
+GEL_TOLERANCE = 1e-3
+GEL_AUTO = BySystem(
+    RKC(rtol=GEL_TOLERANCE, atol=GEL_TOLERANCE),
+    RKC(rtol=GEL_TOLERANCE, atol=GEL_TOLERANCE, largest_step=_DRAWN),
+)
 AUTO = BySystem(BDF2(step=STEPS["BDF2"]), LinearlyImplicit(step=_JUMPING))
 
 

@@ -172,9 +172,32 @@ class DiscTable(TomlTable):
     gradient: _GradientTable | None = None
 
 
+class _CavityTable(TomlTable):
+    center: tuple[_Length, _Length, _Length]
+    radius: _Length
+
+
+class GelTable(TomlTable):
+    """[matrix] of kind gel."""
+
+    kind: Literal["gel"]
+    shape: Literal["cylinder", "box"] = "cylinder"
+    length: _Length = 100.0
+    diameter: _Length | None = None
+    width: _Length | None = None
+    height: _Length | None = None
+    modulus: _Modulus = 500.0
+    nodes: Count | None = None
+    coordination: _Number = 9.0
+    ends: Literal["clamped", "free"] = "clamped"
+    cavities: list[_CavityTable] = []
+    seed: Count | None = None
+
+
 class _CellTable(TomlTable):
-    position: tuple[_Length, _Length] = (0.0, 0.0)
+    position: tuple[_Length, _Length] | tuple[_Length, _Length, _Length] = (0.0, 0.0)
     polarity: Angle = 0.0
+    elevation: Angle = 0.0
     radius: _Length = 8.0
     effects: dict[str, object] | None = None
     commands: CommandsTable | None = None
@@ -226,6 +249,12 @@ class DiscSceneTable(TomlTable):
     effects: dict[str, object] = Field(default_factory=dict)
     commands: CommandsTable = CommandsTable()
     training: _TrainingTable = _TrainingTable()
+
+
+class GelSceneTable(DiscSceneTable):
+    """A scene in a gel."""
+
+    matrix: GelTable  # type: ignore[assignment]
 
 
 def with_effects(scene: type[TomlTable], effects: type[TomlTable]) -> type[TomlTable]:
