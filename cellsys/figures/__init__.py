@@ -20,6 +20,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
             "row_displacement",
         ],
         "equivariant": ["bode_family", "equivariant_model", "forecast"],
+        "gel": ["gel_course", "gel_section", "gel_side", "gel_thickness"],
         "hard": ["hard_sweep"],
         "movie": ["write_movie"],
         "loop": ["headings", "linearisation"],

@@ -82,9 +82,9 @@ def depth_of(shape: str, size: tuple[float, float, float], x: np.ndarray) -> np.
 def relaxed_uniaxial_modulus(
     x: np.ndarray, fibres: np.ndarray, stiffness: np.ndarray, held: np.ndarray, volume: float
 ) -> float:
-    """Young's modulus E, pN/um^2: the `held` ends moved along x, all else relaxed.
+    """Young's modulus E, pN/um^2: the `held` ends gripped and moved along x, all else relaxed.
 
-        U = E eps^2 V/2 at unit strain eps; the lateral surface is free, the ends too across x.
+        U = E eps^2 V/2 at unit strain eps; the lateral surface is free.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def relaxed_uniaxial_modulus(
     u = np.zeros_like(x)
     u[:, 0] = x[:, 0]
     given = np.zeros(x.shape, bool)
-    given[held, 0] = True
+    given[held] = True
     free = np.flatnonzero(~given.ravel())
     rows = sp.csr_array(K)[free]
     A = sp.csr_array(rows[:, free])

@@ -2,6 +2,16 @@
 
 from cellsys.mechanics.contact import contour_gap, edge_gap, until_contact
 from cellsys.observe.everything import observe
+from cellsys.observe.gel import (
+    CellPull,
+    GelContraction,
+    cell_pull,
+    densification,
+    gel_contraction,
+    gel_read_outs,
+    local_volumes,
+    range_exponent,
+)
 from cellsys.observe.headings import heading_change_deg, heading_deg, heading_error_deg
 from cellsys.observe.motion import MeanSquares, mean_squares, movement, persistence
 from cellsys.observe.pairs import (
@@ -43,6 +53,8 @@ from cellsys.observe.tractions import (
 
 __all__ = [
     "Attenuation",
+    "CellPull",
+    "GelContraction",
     "MeanSquares",
     "PairReadout",
     "ReadOutTable",
@@ -52,17 +64,22 @@ __all__ = [
     "alone_scenes",
     "attenuation_length",
     "axis_difference_deg",
+    "cell_pull",
     "centre_height",
     "contact_area",
     "contact_radius",
     "contour_gap",
     "contour_shape",
     "crawl_distance",
+    "densification",
     "directionality_deg",
     "edge_gap",
+    "gel_contraction",
+    "gel_read_outs",
     "heading_change_deg",
     "heading_deg",
     "heading_error_deg",
+    "local_volumes",
     "mean_squares",
     "movement",
     "node_speed",
@@ -73,6 +90,7 @@ __all__ = [
     "pair_regions",
     "persistence",
     "pulling",
+    "range_exponent",
     "read_out_errors",
     "read_outs",
     "speed_against_spacing",

@@ -211,7 +211,7 @@ class GelScene(Plane):
 
     def draw(self, run: Trajectory, ax: object = None, *, k: int = -1) -> object:
         """Displacement in a section along the axis at sample k, over the densification."""
-        return draw_by("gel_section", run, ax=ax, k=k)
+        return draw_by("gel_section", run, k, ax=ax, error=run.error_of("matrix.displacement"))
 
     def refuse(self, scene: ScenePlan, use: str = "run") -> None:
         """Refuse training, floppy networks, and a step that no stepper is named for."""

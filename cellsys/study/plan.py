@@ -64,9 +64,14 @@ def crawls(scene: Scene) -> bool:
     return any(isinstance(cell, Crawler) for cell in scene.cells)
 
 
+def in_gel(scene: Scene) -> bool:
+    """Whether its cells lie inside their matrix."""
+    return scene.matrix_kind.kind == "gel"
+
+
 def steered(scene: Scene) -> bool:
     """Whether it has exactly one cell, on a matrix, that commands can steer: models are of such."""
-    on_matrix = scene.matrix is not None and not crawls(scene)
+    on_matrix = scene.matrix is not None and not crawls(scene) and not in_gel(scene)
     return on_matrix and len(scene.cells) == 1 and "lamellipodium" in scene.effects
 
 
@@ -91,6 +96,10 @@ def study_scenes(scene: Scene, learns: bool) -> tuple[list[Scene], list[Scene], 
     if learns:
         train, held = training_scenes(scene)
         return [scene, *train, *held, *floor_scenes(held)], train, held
+    if in_gel(scene):
+        from cellsys.study.gel import gel_controls
+
+        return [scene, *gel_controls(scene)], [], []
     if len(scene.cells) > 1 and scene.matrix is not None and not crawls(scene):
         return [scene, *alone_scenes(scene)], [], []
     return [scene], [], []

@@ -35,7 +35,7 @@ from cellsys.study.equivariant import study_equivariant, sweep_row
 from cellsys.study.files import plain, save_run
 from cellsys.study.floors import measured_floors
 from cellsys.study.measure import margin_table, sweep_orders
-from cellsys.study.plan import StudyPlan, crawls, learns_from, study_plan, study_scenes
+from cellsys.study.plan import StudyPlan, crawls, in_gel, learns_from, study_plan, study_scenes
 from cellsys.study.result import StudyResult
 from cellsys.study.summary import (
     HeadingError,
@@ -53,6 +53,7 @@ from cellsys.worth.assessment import encode_start
 if TYPE_CHECKING:
     from cellsys.study.cells import CellsStudy
     from cellsys.study.crawler import CrawlerStudy
+    from cellsys.study.gel import GelStudy
 
 ORDERS = (5, 10, 20, 50, 100)
 Progress = Callable[[str, float], None]
@@ -72,7 +73,7 @@ def study(
     cache: str | Path | None = None,
     announce: Callable[[StudyPlan], None] | None = None,
     progress: Progress | None = None,
-) -> StudyResult | CrawlerStudy | CellsStudy:
+) -> StudyResult | CrawlerStudy | CellsStudy | GelStudy:
     """From a scene to poles, margins, a closed-loop run and a report.
 
     Writes into `out`: ``run.npz``, ``model.npz`` (PCR), ``model_equivariant.npz`` (when there is
@@ -82,7 +83,8 @@ def study(
     Parameters
     ----------
     scene : Scene or path
-        With exactly one steered cell on a disc. A scene on a chain (`study_crawler`) and one
+        With exactly one steered cell on a disc. A scene on a chain (`study_crawler`), one in a
+        gel (`study_gel`) and one
         with several cells, without a cell, a matrix or a lamellipodium (`study_cells`) are run
         and read out; no model is learned from them.
     out : path
@@ -108,6 +110,7 @@ def study(
     """
     from cellsys.study.cells import study_cells
     from cellsys.study.crawler import study_crawler
+    from cellsys.study.gel import study_gel
 
     began = time.perf_counter()
     if not isinstance(scene, Scene):
@@ -123,18 +126,29 @@ def study(
         )
     if crawling:
         return study_crawler(scene, out, progress)
+    embedded = in_gel(scene)
+    if embedded and model is not None:
+        raise ParameterError(
+            "a model of a cell on a disc is not run in a gel; leave model out (cs.RadialCell is "
+            "the reduced cell of a gel)"
+        )
     folder = Path(out)
     _check(scene, order if learns else None, folder)
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise ParameterError(f"workers must be a whole number >= 1, got {workers!r}")
     kept = cache_folder() if cache is None else Path(cache)
-    scenes, train, held = ([scene], [], []) if crawling else study_scenes(scene, learns)
+    scenes, train, held = study_scenes(scene, learns)
     own = [kept / run_name(s) for s in scenes]
     for place in own if not resume else ():
         if (partial := place.with_name(f"{place.name}.partial")).exists():
             discard_partial(partial)
     if announce is not None:
         announce(study_plan(scene, learn=learns, workers=workers))
+    if embedded:
+        told_of = study_gel(scene, folder, workers=workers, cache=kept, progress=progress)
+        touch(own)
+        prune(kept, keep=own)
+        return told_of
     if not learns:
         found = study_cells(
             scene, folder, workers=workers, cache=kept, model=model, progress=progress
