@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Cells",
     "ChoosesOrder",
+    "Embedding",
     "Integrator",
     "LinearModel",
     "LinearSystem",
@@ -316,6 +317,14 @@ class Cells(Protocol):
         """A run at the times t, s; an integrator is obeyed, or refused with the reason."""
 
 
+@runtime_checkable
+class Embedding(Protocol):
+    """A matrix that cells lie in, not on, such as cs.scene.GelScene()."""
+
+    def control(self, scene: Any) -> Any:
+        """The same matrix, node by node, for one of the cells of a scene alone."""
+
+
 _Scene = TypeVar("_Scene")
 _Cell = TypeVar("_Cell", covariant=True)
 
@@ -337,9 +346,6 @@ class MatrixKind(Protocol[_Scene, _Cell]):
 
     def build(self, scene: _Scene) -> OdeSystem:
         """The full-order system of the scene."""
-
-    def control(self, scene: _Scene) -> Any:
-        """The matrix that each cell of the scene is alone on, for comparison; None for none."""
 
     def place_cells(self, scene: _Scene) -> None:
         """Refuse cells of the scene that have no place here, each by its number."""

@@ -29,6 +29,7 @@ class FocalAdhesion(ClutchLaw, ClusterLaw):
     kinetics: str = parameter(
         "clutch",
         choices=("clutch", "switching"),
+        refused={"gel": {"switching": "binds to the top of a flat matrix; take 'clutch'"}},
         source="chosen here [notes: mechanics, clutch]",
         about="bond model",
     )
@@ -181,11 +182,6 @@ class FocalAdhesion(ClutchLaw, ClusterLaw):
         source="calibrated here [notes: mechanics, clusters]",
         about="myosin stall",
     )
-
-    def refusal(self, kind: str) -> str | None:
-        if kind == "gel" and self.kinetics == "switching":
-            return "clusters bind to the top of a flat matrix; set kinetics = 'clutch'"
-        return super().refusal(kind)
 
     def elements(self, site: Site) -> tuple[Element, ...]:
         if site.matrix is None:

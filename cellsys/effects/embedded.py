@@ -60,13 +60,16 @@ class EmbeddedFooting(Foothold):
         return s.cache[self._key]
 
     def weights(self, s: Configuration) -> Weights:
+        """w_ij of the nodes in reach."""
         return self._found(s)[0]
 
     def hold(self, s: Configuration) -> np.ndarray:
+        """W_i/(W_i + 0.02)."""
         total = self._found(s)[1]
         return total / (total + _LEAST)
 
     def on_rates(self, s: Configuration, law: ClutchLaw) -> np.ndarray:
+        """k_on s_i, 1/s."""
         total = self._found(s)[1]
         return law.on_rate * total / (total + _HALF)
 

@@ -105,6 +105,7 @@ class Footing(Foothold):
         return s.cache[self._key]
 
     def hold(self, s: Configuration) -> np.ndarray:
+        """1: the weights of a disc sum to that."""
         n = len(s.nodes[self.array])
         if len(self._whole) != n:
             self._whole = np.ones(n)

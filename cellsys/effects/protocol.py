@@ -44,12 +44,14 @@ def parameter(
     about: str = "",
     once: str = "",
     elsewhere: Mapping[str, str | None] | None = None,
+    refused: Mapping[str, Mapping[str, str]] | None = None,
 ) -> Any:
     """A dataclass field with unit, bounds, source and meaning in its metadata.
 
     `default` is a quantity string ("500 pN/um"), one of the ``choices``, or a bool. Scene files
     may also call the parameter by the name it had `once`. `elsewhere` are the defaults in scene
-    files with other kinds of matrix, by kind; None: the parameter has no meaning there.
+    files with other kinds of matrix, by kind; None: the parameter has no meaning there. `refused`
+    are choices that have none, by kind, each with the reason.
     """
     plain = choices is not None or isinstance(default, bool)
     value = default if plain else quantity(default, unit, name="default")
@@ -65,6 +67,7 @@ def parameter(
             "source": source,
             "about": about,
             "once": once,
+            "refused": {kind: dict(choice) for kind, choice in (refused or {}).items()},
             "elsewhere": {
                 kind: None if other is None else quantity(other, unit, name="elsewhere")
                 for kind, other in (elsewhere or {}).items()
@@ -163,8 +166,10 @@ class Effect:
         if kind in self.not_on:
             return self.not_on[kind]
         for item in dataclasses.fields(self):
-            set_here = getattr(self, item.name) != item.default
-            if set_here and item.metadata.get("elsewhere", {}).get(kind, 0) is None:
+            value = getattr(self, item.name)
+            if value in item.metadata.get("refused", {}).get(kind, ()):
+                return f"{item.name} = {value!r} {item.metadata['refused'][kind][value]}"
+            if value != item.default and item.metadata.get("elsewhere", {}).get(kind, 0) is None:
                 return f"{item.name} is set and means nothing there; leave it out"
         return None
 
@@ -182,8 +187,8 @@ class Site:
     """Where an effect is built: a cell (or None) on a matrix (or None).
 
     `body`, `network` and `disc` are the cell, the matrix and a flat matrix of a site that must
-    have them. `cells` and `arrays` hold all bodies and node arrays of the scene, `built` the elements that
-    stand already: the matrix before the cells, the cells one after the other.
+    have them. `cells` and `arrays` hold all bodies and node arrays of the scene, `built` the
+    elements that stand already: the matrix before the cells, the cells one after the other.
     """
 
     cell: CellBody | None

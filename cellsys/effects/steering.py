@@ -82,6 +82,7 @@ class Lamellipodium(ProtrusionLaw):
     reaction: str = parameter(
         "none",
         choices=("none", "clutch"),
+        refused={"gel": {"clutch": "balances couples about the normal of a disc; take 'none'"}},
         source="thesis, table of sources [notes: mechanics, reaction of the lamellipodium]",
         about="what takes up the protrusion's reaction",
     )
@@ -107,14 +108,6 @@ class Lamellipodium(ProtrusionLaw):
     @property
     def outside_work(self) -> str:
         return "" if self.reaction == "clutch" else "a source: nothing takes up the reaction"
-
-    def refusal(self, kind: str) -> str | None:
-        if kind == "gel" and self.reaction == "clutch":
-            return (
-                "reaction = 'clutch' balances couples about the normal of a flat matrix; set "
-                "reaction = 'none'"
-            )
-        return super().refusal(kind)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -283,7 +276,7 @@ class PolarityElement(Element):
         )  # fmt: skip
 
     def contrast(self, s: Configuration) -> np.ndarray:
-        """g (2,), in a gel (3,), of the stiffness per fibre, or of the tensile stress in its shell."""
+        """g (axes,) of the stiffness per fibre, or of the tensile stress in its shell."""
         sensing, fibres = self.sensing, self.fibres
         if sensing is None or fibres is None:
             raise SceneError(f"{self.array} senses nothing: add stiffness_sensing to the scene")

@@ -63,9 +63,7 @@ def gel_section(
     size = run.geometry["matrix.size"]
     thin = np.abs(rest[:, 1]) < 1.5 * np.cbrt(np.prod(size) / len(rest))
     now = rest[thin] + u[thin]
-    dots = ax.scatter(
-        now[:, 0], now[:, 2], c=volume[thin], s=24, cmap="RdBu", vmin=0.5, vmax=1.5
-    )
+    dots = ax.scatter(now[:, 0], now[:, 2], c=volume[thin], s=24, cmap="RdBu", vmin=0.5, vmax=1.5)
     ax.quiver(
         rest[thin, 0], rest[thin, 2], u[thin, 0], u[thin, 2],
         angles="xy", scale_units="xy", scale=0.5, width=0.0018, color="k",

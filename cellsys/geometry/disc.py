@@ -36,6 +36,7 @@ class Disc(FibreNetwork):
 
     @property
     def flat(self) -> bool:
+        """Cells lie on it."""
         return True
 
 

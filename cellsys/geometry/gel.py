@@ -23,6 +23,7 @@ GRIP = 3.0  # um at either end that are held
 MARGIN = 0.3  # um between a cell and the nearest nodes
 FLOPPY = 6.0  # fibres per node: central forces alone are rigid above
 LEAST_FIBRES = 3  # of a node in space: with fewer it is not held
+SHELL = 1.5  # spacings: enough nodes in a slice of 10 um for a mean
 _SOLVED = 1e-8  # residual of the relaxed test; the energy is off by its square
 _HANGING = 0.05  # of the nodes may be left hanging by cavities and taken away with them
 
@@ -40,7 +41,7 @@ class Gel(FibreNetwork):
         Nodes that adhesions can reach: all that are not held. The rest is that of
         `FibreNetwork`.
     lateral : int array
-        Nodes of the lateral boundary, within 0.6 spacings of it.
+        Nodes of the lateral boundary, within `SHELL` spacings of it.
     """
 
     shape: str
@@ -48,6 +49,7 @@ class Gel(FibreNetwork):
     lateral: np.ndarray
 
     def describe(self) -> dict[str, np.ndarray]:
+        """With its lateral boundary and size."""
         lateral = {"matrix.lateral": self.lateral, "matrix.outward": self.outward}
         return {**super().describe(), **lateral, "matrix.size": np.array(self.size)}
 
@@ -116,9 +118,9 @@ def relaxed_uniaxial_modulus(
 
 
 def _lateral(shape: str, size: tuple[float, float, float], x: np.ndarray) -> np.ndarray:
-    """Nodes within 0.6 spacings of the lateral boundary."""
+    """Nodes within `SHELL` spacings of the lateral boundary."""
     spacing = np.cbrt(volume_of(shape, size) / len(x))
-    return np.flatnonzero(depth_of(shape, size, x) < 0.6 * spacing)
+    return np.flatnonzero(depth_of(shape, size, x) < SHELL * spacing)
 
 
 @lru_cache(maxsize=4)

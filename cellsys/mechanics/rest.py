@@ -29,8 +29,12 @@ _LOOK = 50  # iterations for which one M is kept
 _DEPTH = 12  # steps that are combined
 
 
-def rested(arrays: Sequence[JunctionArray], elements: Sequence[Element]) -> list[JunctionArray]:
+def rested(
+    arrays: Sequence[JunctionArray], elements: Sequence[Element], *, lies: bool = True
+) -> list[JunctionArray]:
     """The arrays with every cell of a given pressure at rest; elements that `balance` are told.
+
+    A cell that `lies` on something keeps the height of its lowest node.
 
     Raises
     ------
@@ -40,13 +44,13 @@ def rested(arrays: Sequence[JunctionArray], elements: Sequence[Element]) -> list
     out = list(arrays)
     for cell in [array.name for array in arrays if "." not in array.name]:
         own = [a for a in out if a.name == cell or a.name.startswith(f"{cell}.")]
-        moved = _rest(cell, own, elements)
+        moved = _rest(cell, own, elements, lies)
         out = [a._replace(start=moved[a.name]) if a.name in moved else a for a in out]
     return out
 
 
 def _rest(
-    cell: str, own: list[JunctionArray], elements: Sequence[Element]
+    cell: str, own: list[JunctionArray], elements: Sequence[Element], lies: bool
 ) -> dict[str, np.ndarray]:
     """New starts of the cell's arrays; none where nothing asks for a cell at rest."""
     names = {a.name for a in own}
@@ -68,6 +72,8 @@ def _rest(
     found = body.settle(start, f"volume of {cell}")
     if found is start:
         return {}
+    if not lies:
+        return found
     sunk = start[cell][:, 2].min() - found[cell][:, 2].min()
     for name, x in found.items():
         if name != f"{cell}.cortex":  # an offset, not a place

@@ -74,7 +74,10 @@ def build_spreading(
     attach("scene", effects, whole)
     for element in elements:
         element.connect(elements)
-    return SpreadingSystem(cells, matrix, tuple(elements), tuple(rested(arrays, elements)))
+    lies = matrix is None or matrix.flat
+    return SpreadingSystem(
+        cells, matrix, tuple(elements), tuple(rested(arrays, elements, lies=lies))
+    )
 
 
 class SpreadingSystem(OverdampedSystem):

@@ -115,7 +115,8 @@ def gel_contraction(
     run : Trajectory
         In a gel.
     width : float
-        Of a slice at rest, um. Slices without a node of the boundary are left out.
+        Of a slice at rest, um; one has its middle at x = 0. Slices without a node of the boundary
+        are left out.
     displacement : (T, N, 3), optional
         Of the nodes at the run's times, um, in place of the run's own: that of a reduced model.
     """
@@ -128,15 +129,14 @@ def gel_contraction(
         u = shaped_array(displacement, "displacement", (len(run), len(rest), 3))
         moved = u[:, lateral]
     x0 = rest[lateral]
-    size = run.geometry["matrix.size"]
-    slices = np.floor((x0[:, 0] + 0.5 * size[0]) / width).astype(int)
+    slices = np.floor(x0[:, 0] / width + 0.5).astype(int)
     there, place = np.unique(slices, return_inverse=True)
     before = np.bincount(place, np.einsum("ij,ij->i", x0, outward))
     out = np.einsum("tij,ij->ti", moved, outward)
     change = np.stack([np.bincount(place, row) for row in out])
     return GelContraction(
         t=np.asarray(run.t),
-        x=(there + 0.5) * width - 0.5 * size[0],
+        x=there * width,
         width=float(width),
         thickness=1.0 + change / before,
     )

@@ -14,6 +14,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from cellsys.arguments import checked
+from cellsys.contracts import Embedding
 from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.kinds import Count
 from cellsys.mechanics.contact import edge_gap, gap_at, until_contact
@@ -300,11 +301,13 @@ def alone_scenes(scene: Scene) -> list[Scene]:
     """The one-cell controls of a scene: each of its cells alone, at its place, same matrix."""
     if len(scene.cells) < 2:
         raise ParameterError("a one-cell control needs a scene of at least two cells")
+    inside = isinstance(scene.matrix, Embedding)
+    matrix = scene.matrix.control(scene) if inside else scene.matrix
     return [
         replace(
             scene,
             cells=scene.cells[k : k + 1],
-            matrix=scene.matrix_kind.control(scene),
+            matrix=matrix,
             name=f"{scene.name}, cell {k + 1} alone",
             until=None,
         )

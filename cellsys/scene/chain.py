@@ -76,10 +76,6 @@ class ChainScene(Chain):
         """The crawlers on the chain."""
         return build_crawlers(scene.crawlers, self)
 
-    def control(self, scene: ScenePlan) -> ChainScene:
-        """The same chain."""
-        return self
-
     def place_cells(self, scene: ScenePlan) -> None:
         """Refuse what is no crawler, nodes outside the chain, and attachments that cross."""
         for index, cell in enumerate(scene.cells):

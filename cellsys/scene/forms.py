@@ -184,8 +184,8 @@ def _gel_fields(parsed: Any, registry: Registry) -> dict[str, Any]:
         told = {"step": "step" in parsed.model_fields_set, "run.step": run.step is not None}
         for key in (k for k, given in told.items() if given):
             raise SceneError(
-                f"{key} is given and a gel is stepped by RKC, which finds its own; leave it out, or "
-                "name run.stepper"
+                f"{key} is given and a gel is stepped by RKC, which finds its own; leave it out, "
+                "or name run.stepper"
             )
         if run.tolerance is None:
             parsed = parsed.model_copy(update={"run": run.model_copy(update={"stepper": "auto"})})

@@ -89,10 +89,6 @@ class Plane:
         """Where the middle of a cell starts, um: on the matrix."""
         return (cell.position[0], cell.position[1], cell.radius + START_GAP)
 
-    def control(self, scene: ScenePlan) -> Plane | None:
-        """The matrix of a scene's cells one by one."""
-        return None if scene.matrix is None else self
-
     def build(self, scene: ScenePlan) -> SpreadingSystem:
         """The full-order system: only the effects that the scene names."""
         matrix = self.around(scene)

@@ -36,8 +36,8 @@ _MOST_SAMPLES = 1e7  # their times alone are 80 MB, their states of any scene be
 class Scene:
     """A scene: matrix, cells, the effects that act, commands, and how long.
 
-    `matrix` is a `MatrixScene` (disc), a `GelScene`, a `ChainScene` or a kind of your own (`MatrixKind`). On a
-    chain the cells are `Crawler` objects, `effects` and `commands` are empty,
+    `matrix` is a `MatrixScene` (disc), a `GelScene`, a `ChainScene` or a kind of your own
+    (`MatrixKind`). On a chain the cells are `Crawler` objects, `effects` and `commands` are empty,
     and `training`, `seed` and `step` are not used.
 
     Built by `load_scene` or `Scene.parse`; change it with `dataclasses.replace`. Times in s,

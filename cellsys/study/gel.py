@@ -179,4 +179,3 @@ def _write_report(result: GelStudy, figures: Mapping[str, Path]) -> None:
         "</body></html>",
     ]
     write_text(result.out / "report.html", "\n".join(parts))
-

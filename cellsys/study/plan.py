@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cellsys.arguments import checked
+from cellsys.contracts import Embedding
 from cellsys.errors import ParameterError
 from cellsys.mechanics.crawler import Crawler
 from cellsys.observe.pairs import alone_scenes
@@ -66,7 +67,7 @@ def crawls(scene: Scene) -> bool:
 
 def in_gel(scene: Scene) -> bool:
     """Whether its cells lie inside their matrix."""
-    return scene.matrix_kind.kind == "gel"
+    return isinstance(scene.matrix, Embedding)
 
 
 def steered(scene: Scene) -> bool:

@@ -7,9 +7,8 @@ import scipy.sparse.linalg as spla
 from scipy.spatial.transform import Rotation
 
 from cellsys.effects import clutch_kernels as clutch_loops
-from cellsys.effects.clutch import rim_factor
 from cellsys.effects.fibre_kernels import fibre_energy, fibre_forces, fibre_slopes
-from cellsys.effects.footing import SurfaceBins
+from cellsys.effects.footing import SurfaceBins, rim_factor
 from cellsys.effects.membrane import area_forces, line_forces
 from cellsys.effects.switching import bind_nearest, cluster_loads
 from cellsys.errors import DataError
@@ -164,58 +163,72 @@ def test_clutch_loads_and_gather(bonds):
     on_cell = np.column_stack([2000.0 * stretch, -500.0 * n * gap]) * held[:, None]
     index, weight, count = SurfaceBins(disc, 3.0).weights(x)
     cell, matrix = np.zeros_like(x), np.zeros_like(u)
-    clutch_loops.clutch_loads(x, u, n, stretch, index, weight, count, 2000.0, 500.0, cell, matrix)
+    hold = np.ones(len(x))
+    clutch_loops.clutch_loads(
+        x, u, n, stretch, index, weight, count, hold, 2000.0, 500.0, cell, matrix
+    )
     assert np.allclose(cell, on_cell, **CLOSE)
     assert np.allclose(matrix, -W.T @ on_cell, **CLOSE)
     out = np.empty((len(x), 2))
     clutch_loops.gather(u, index, weight, count, out)
     assert np.allclose(out, (W @ u)[:, :2], **CLOSE)
     u_end, x_end = u + 0.1 * u[::-1], x + 0.1 * x[::-1]
-    clutch_loops.slip(u, u_end, x, x_end, index, weight, count, 0.5, out)
+    clutch_loops.slip(u, u_end, x, x_end, index, weight, count, hold, 0.5, out)
     assert np.allclose(out, ((W @ (u_end - u) - (x_end - x)) / 0.5)[:, :2], **CLOSE)
 
 
-# k_on, height, width; then, after k_off0 of every clutch, F_b and v_m.
-NUMBERS = (0.1, 0.9, 0.2), (600.0, 0.004)
+NUMBERS = 600.0, 0.004  # F_b, v_m
 
 
 def numbers(stretch):
     """Arguments of the clutch's loops from the load on: by its own loop, beside the oracle's."""
     load = np.empty(len(stretch))
     clutch_loops.own_loads(stretch, 2000.0, load)
-    assert np.allclose(load, 2000.0 * np.hypot(*stretch.T), **CLOSE)
-    return load, *NUMBERS[0], np.full(len(stretch), 0.025), *NUMBERS[1]
+    assert np.allclose(load, 2000.0 * np.linalg.norm(stretch, axis=1), **CLOSE)
+    return load, np.full(len(stretch), 0.025), *NUMBERS
 
 
-def clutch_oracle(x, n, stretch, rim, slip):
-    on = rim * 0.1 / (1 + np.exp((x[:, 2] - 0.9) / 0.2))
-    load = 2000.0 * np.hypot(*stretch.T)
+def on_rates(x, rim):
+    """By its own loop, beside the oracle's."""
+    on = np.empty(len(x))
+    clutch_loops.binding_rates(x, rim, 0.1, 0.9, 0.2, on)
+    assert np.allclose(on, rim * 0.1 / (1 + np.exp((x[:, 2] - 0.9) / 0.2)), **CLOSE)
+    return on
+
+
+def clutch_oracle(x, n, stretch, slip):
+    axes = stretch.shape[1]
+    load = 2000.0 * np.linalg.norm(stretch, axis=1)
     off = 0.025 * (1 + (load / ((n + 0.02) * 600.0)) ** 2)
-    away = x[:, :2] - x[:, :2].mean(0)
+    away = x[:, :axes] - x[:, :axes].mean(0)
     away /= np.sqrt((away**2).sum(1) + 1e-12)[:, None]
     drive = n[:, None] * (slip + 0.004 * away)
-    return on, off, drive
+    return off, drive
 
 
-def test_clutch_rates(bonds):
+@pytest.mark.parametrize("axes", [2, 3])
+def test_clutch_rates(bonds, axes):
     disc, x, _, n, stretch = bonds
-    rim = rim_factor(x, disc.radius)
-    slip = 0.01 * np.random.default_rng(3).standard_normal((189, 2))
-    on, off, drive = clutch_oracle(x, n, stretch, rim, slip)
-    n_rate, s_rate = np.empty(189), np.empty((189, 2))
-    clutch_loops.clutch_rates(x, n, stretch, rim, slip, *numbers(stretch), n_rate, s_rate)
+    stretch = np.hstack([stretch, stretch[:, :1]])[:, :axes].copy()
+    on = on_rates(x, rim_factor(x, disc.radius))
+    slip = 0.01 * np.random.default_rng(3).standard_normal((189, axes))
+    off, drive = clutch_oracle(x, n, stretch, slip)
+    n_rate, s_rate = np.empty(189), np.empty((189, axes))
+    clutch_loops.clutch_rates(x, n, stretch, on, slip, *numbers(stretch), n_rate, s_rate)
     assert np.allclose(n_rate, on * (1 - n) - off * n, **CLOSE)
     assert np.allclose(s_rate, drive - off[:, None] * stretch, **CLOSE)
 
 
-def test_clutch_advance_is_the_exact_solution_at_frozen_rates(bonds):
+@pytest.mark.parametrize("axes", [2, 3])
+def test_clutch_advance_is_the_exact_solution_at_frozen_rates(bonds, axes):
     disc, x, _, n, stretch = bonds
-    rim = rim_factor(x, disc.radius)
-    slip = 0.01 * np.random.default_rng(3).standard_normal((189, 2))
-    on, off, drive = clutch_oracle(x, n, stretch, rim, slip)
+    stretch = np.hstack([stretch, stretch[:, :1]])[:, :axes].copy()
+    on = on_rates(x, rim_factor(x, disc.radius))
+    slip = 0.01 * np.random.default_rng(3).standard_normal((189, axes))
+    off, drive = clutch_oracle(x, n, stretch, slip)
     for dt in (1e-6, 0.5, 100.0):
-        n_new, s_new = np.empty(189), np.empty((189, 2))
-        arguments = (x, n, stretch, rim, slip, dt, n, *numbers(stretch), n_new, s_new)
+        n_new, s_new = np.empty(189), np.empty((189, axes))
+        arguments = (x, n, stretch, on, slip, dt, n, *numbers(stretch), n_new, s_new)
         clutch_loops.clutch_advance(*arguments)
         rest = on / (on + off)
         assert np.allclose(n_new, rest + (n - rest) * np.exp(-(on + off) * dt), **CLOSE)

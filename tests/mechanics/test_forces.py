@@ -156,7 +156,7 @@ def test_clutch_is_power_conjugate(seed):
     item = element(system, "cell1.focal_adhesion")
     f = force(system, item, x)
     s = system.configuration(0.0, x)
-    index, weight, count = item.bins.weights(s.nodes["cell1"])
+    index, weight, count = item.footing.weights(s)
     v_cell = rng.standard_normal(f["cell1"].shape)
     v_matrix = rng.standard_normal(f["matrix"].shape)
     under = (weight[:, :, None] * v_matrix[index]).sum(axis=1)

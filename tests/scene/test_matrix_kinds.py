@@ -184,7 +184,7 @@ def test_units_bounds_and_names_of_parameters_are_held():
     ):
         with pytest.raises(SceneError, match=words):
             Scene.parse(table({"kind": "sheet", **given}), matrices=KINDS)
-    with pytest.raises(SceneError, match=r"must be 'disc' or 'chain' \(got 'sheet'\)"):
+    with pytest.raises(SceneError, match=r"must be 'disc', 'gel' or 'chain' \(got 'sheet'\)"):
         Scene.parse(table({"kind": "sheet"}))
     with pytest.raises(SceneError, match=r"'chain', 'sheet', 'coin' or 'bead' \(got 'gell'\)"):
         Scene.parse(table({"kind": "gell"}), matrices=KINDS)
