@@ -29,31 +29,29 @@ _MARGIN = 0.3  # um: nodes this much farther away may touch before the next look
 
 @dataclass(frozen=True)
 class MatrixContact(Effect):
-    """Repulsion of gel nodes by membranes: E = sum k/2 max(0, gap - d)^2 [notes: gel, contact].
+    """Repulsion of gel nodes by membranes: E = sum k/2 max(0, gap - d)^2 [notes: mechanics, contact].
 
     d is the distance of a node of the gel to the membrane, negative inside: the law of
-    `cell_contact` between a surface and the nodes around it.
+    `cell_contact` between a surface and the nodes around it. On a disc it acts on the nodes that a
+    cell presses itself onto.
     """
 
     name: ClassVar[str] = "matrix_contact"
     acts_on: ClassVar[str] = "cells"
-    not_on: ClassVar[dict[str, str]] = {
-        "chain": "a crawler lies on the chain, not in it",
-        "disc": "a cell lies on the disc, not in it; use substrate_contact",
-        "none": "there is no matrix to touch",
-    }
+    needs: ClassVar[tuple[str, ...]] = ("matrix_elasticity",)
+    not_on: ClassVar[dict[str, str]] = {"chain": "a crawler lies on the chain, not in it"}
     stiffness: float = parameter(
         "300 pN/um",
         "pN/um",
         least=0.0,
-        source="working set [notes: gel, contact]",
+        source="assumed [notes: mechanics, contact]",
         about="repulsion of a node of the gel",
     )
     gap: float = parameter(
         "0.3 um",
         "um",
         above=0.0,
-        source="working set [notes: gel, contact]",
+        source="assumed [notes: mechanics, contact]",
         about="distance at which it starts",
     )
 

@@ -2,7 +2,7 @@
 
 The length of a fibre is that of the material (its pore size), not that of a grid: what a gel does
 depends on how many nodes it has, which belongs to every number that is told of it
-[notes: gel, fibre length].
+[notes: matrix, gel].
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ STANDARD = (
 # Scenes that together hold every effect, each without its contradictions.
 WHOLE = [
     (*STANDARD, "external_load", "external_strain", "fibre_bending", "matrix_creep", "nucleus",
-     "stress_fibres", "cell_contact", "matrix_degradation", "noise"),
+     "stress_fibres", "cell_contact", "matrix_degradation", "noise", "matrix_contact"),
     ("membrane_elasticity", "volume", "cortex", "stochastic_adhesion", "lamellipodium",
      "substrate_contact", "foundation", "polarity"),
 ]  # fmt: skip
@@ -250,6 +250,7 @@ ZERO = {
     "stochastic_adhesion": {"bind_rate": "0 1/s"},
     "stress_fibres": {"tension": "0 pN"},
     "cell_contact": {"stiffness": "0 pN/um"},
+    "matrix_contact": {"stiffness": "0 pN/um"},
     "matrix_degradation": {"rate": "0 1/s"},
     "noise": {"temperature": "0 K"},
 }

@@ -166,7 +166,7 @@ def test_forces_and_torques_of_inner_elements_vanish(case, seed):
 
 NEW = ["fibre_bending", "matrix_creep", "kelvin", "kelvin, stiffening", "cortex", "nucleus",
        "stochastic_adhesion", "stress_fibres", "anchored", "cell_contact",
-       "matrix_degradation"]  # fmt: skip
+       "matrix_degradation", "matrix_contact"]  # fmt: skip
 
 
 @pytest.mark.slow

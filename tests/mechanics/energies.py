@@ -153,31 +153,47 @@ def stress_fibres(item, nodes, internal):
     return item.effect.tension * (bound * (length - item.effect.soft)).sum()
 
 
+def pressed(x, y, triangles, e):
+    """Of nodes x near a surface; closest points are found on real positions: their shares do not
+    change the first derivative.
+    """
+    total = 0.0
+    for p in x:
+        best = (np.inf, 0.0, None)
+        # Only triangles within reach of an edge or two can be the closest one.
+        far = np.linalg.norm(y[triangles].real - p.real, axis=2).min(axis=1)
+        for t in triangles[far < far.min() + 1.5]:
+            corners, share = y[t], np.empty(3)
+            closest_on_triangle(p.real, *corners.real, share)
+            r = (p - share @ corners).real
+            n = np.cross(*(corners[1:] - corners[0]).real)
+            over = r @ n / np.linalg.norm(n)
+            d = np.linalg.norm(r)
+            if d < best[0] - 1e-9 or (d < best[0] + 1e-9 and abs(over) > abs(best[1])):
+                best = (min(d, best[0]), over, p - share @ corners)
+        distance = np.sign(best[1]) * norm(best[2], 0.0)
+        if distance.real < e.gap:
+            total = total + 0.5 * e.stiffness * (e.gap - distance) ** 2
+    return total
+
+
 def cell_contact(item, nodes, internal):
-    """Closest points found on real positions: their shares do not change the first derivative."""
-    e, total = item.effect, 0.0
+    total = 0.0
     for first in item.cells:
         for other in item.cells:
-            if first is other:
-                continue
-            x, y = nodes[first.name], nodes[other.name]
-            triangles = other.membrane.triangles
-            for p in x[np.abs(x.real[:, 0]) < 2.0]:
-                best = (np.inf, 0.0, None)
-                # Only triangles within reach of an edge or two can be the closest one.
-                far = np.linalg.norm(y[triangles].real - p.real, axis=2).min(axis=1)
-                for t in triangles[far < far.min() + 1.5]:
-                    corners, share = y[t], np.empty(3)
-                    closest_on_triangle(p.real, *corners.real, share)
-                    r = (p - share @ corners).real
-                    n = np.cross(*(corners[1:] - corners[0]).real)
-                    over = r @ n / np.linalg.norm(n)
-                    d = np.linalg.norm(r)
-                    if d < best[0] - 1e-9 or (d < best[0] + 1e-9 and abs(over) > abs(best[1])):
-                        best = (min(d, best[0]), over, p - share @ corners)
-                distance = np.sign(best[1]) * norm(best[2], 0.0)
-                if distance.real < e.gap:
-                    total = total + 0.5 * e.stiffness * (e.gap - distance) ** 2
+            if first is not other:
+                x, y = nodes[first.name], nodes[other.name]
+                near = x[np.abs(x.real[:, 0]) < 2.0]
+                total = total + pressed(near, y, other.membrane.triangles, item.effect)
+    return total
+
+
+def matrix_contact(item, nodes, internal):
+    x, total = item.matrix.position + nodes["matrix"], 0.0
+    for cell in item.cells:
+        y = nodes[cell.name]
+        apart = np.linalg.norm(x.real[:, None] - y.real[None], axis=2).min(axis=1)
+        total = total + pressed(x[apart < 3.0], y, cell.membrane.triangles, item.effect)
     return total
 
 
@@ -196,4 +212,5 @@ ENERGIES = {
     "nucleus": nucleus,
     "stress_fibres": stress_fibres,
     "cell_contact": cell_contact,
+    "matrix_contact": matrix_contact,
 }

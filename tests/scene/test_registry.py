@@ -160,7 +160,7 @@ def test_names_are_taken_once():
 
 
 def test_every_effect_says_what_it_is():
-    assert len(LISTED) == len(EFFECTS) == 22
+    assert len(LISTED) == len(EFFECTS) == 23
     for name, effect in EFFECTS.items():
         assert effect.name == name
         assert effect.__doc__
