@@ -29,7 +29,7 @@ _MARGIN = 0.3  # um: nodes this much farther away may touch before the next look
 
 @dataclass(frozen=True)
 class MatrixContact(Effect):
-    """Repulsion of gel nodes by membranes: E = sum k/2 max(0, gap - d)^2 [notes: mechanics, contact].
+    """Repulsion of gel nodes by membranes, E = sum k/2 max(0, gap - d)^2.
 
     d is the distance of a node of the gel to the membrane, negative inside: the law of
     `cell_contact` between a surface and the nodes around it. On a disc it acts on the nodes that a

@@ -36,6 +36,10 @@ from .equivariant import (
 from .equivariant import (
     forecast as forecast,
 )
+from .gel import gel_course as gel_course
+from .gel import gel_section as gel_section
+from .gel import gel_side as gel_side
+from .gel import gel_thickness as gel_thickness
 from .hard import hard_sweep as hard_sweep
 from .loop import headings as headings
 from .loop import linearisation as linearisation

@@ -301,8 +301,9 @@ def alone_scenes(scene: Scene) -> list[Scene]:
     """The one-cell controls of a scene: each of its cells alone, at its place, same matrix."""
     if len(scene.cells) < 2:
         raise ParameterError("a one-cell control needs a scene of at least two cells")
-    inside = isinstance(scene.matrix, Embedding)
-    matrix = scene.matrix.control(scene) if inside else scene.matrix
+    matrix = scene.matrix
+    if isinstance(matrix, Embedding):
+        matrix = matrix.control(scene)
     return [
         replace(
             scene,

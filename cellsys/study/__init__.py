@@ -15,12 +15,15 @@ from cellsys.study.run import StudyResult, study
 if TYPE_CHECKING:
     from cellsys.study.cells import CellsStudy
     from cellsys.study.crawler import CrawlerStudy
+    from cellsys.study.gel import GelStudy
 
 __all__ = ["StudyResult", "study"]
 
 
 class _CallableModule(ModuleType):
-    def __call__(self, *args: Any, **options: Any) -> StudyResult | CrawlerStudy | CellsStudy:
+    def __call__(
+        self, *args: Any, **options: Any
+    ) -> StudyResult | CrawlerStudy | CellsStudy | GelStudy:
         return study(*args, **options)
 
 
