@@ -16,8 +16,9 @@ import scipy.linalg as sla
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from cellsys.errors import DataError, DimensionError, RankError
+from cellsys.errors import DataError, DimensionError, RankError, SceneError
 from cellsys.field.elasticity import MatrixEnergy
+from cellsys.geometry.disc import Disc
 from cellsys.trajectory import Trajectory
 
 MatrixRuns = np.ndarray | Trajectory | Sequence[np.ndarray | Trajectory]
@@ -44,6 +45,11 @@ def patch_loads(
 ) -> np.ndarray:
     """Random smooth surface loads (places * per_place, n, 3), pN, of unit Euclidean norm."""
     disc = matrix.disc
+    if not isinstance(disc, Disc):
+        raise SceneError(
+            "patches of load lie on the top of a disc, and this matrix is around its cells; give "
+            "GalerkinField the modes= of runs in it"
+        )
     on = disc.surface
     xy = disc.position[on, :2]
     hats = int(_PATCH / _HAT) + 1

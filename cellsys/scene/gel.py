@@ -28,8 +28,8 @@ _RANGES = {
 _ACROSS = (0.1, 1e5)
 _FEWEST = 50
 _NO_TRAINING = (
-    "commanded headings train the models of cells on a disc; a gel's cells are reduced by "
-    "cs.RadialCell and cs.gel_modes"
+    "commanded headings train the models of cells on a disc, and nothing is learned from a scene "
+    "in a gel; run it with cs.run_scene"
 )
 
 

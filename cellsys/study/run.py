@@ -129,8 +129,8 @@ def study(
     embedded = in_gel(scene)
     if embedded and model is not None:
         raise ParameterError(
-            "a model of a cell on a disc is not run in a gel; leave model out (cs.RadialCell is "
-            "the reduced cell of a gel)"
+            "a model of a cell on a disc is not run in a gel, where loads do not superpose; leave "
+            "model out"
         )
     folder = Path(out)
     _check(scene, order if learns else None, folder)

@@ -21,6 +21,7 @@ from cellsys.cell.charged import ChargedModel
 from cellsys.contracts import LoadPort as LoadPort  # what the inherited __init__ is annotated with
 from cellsys.contracts import MatrixField as MatrixField
 from cellsys.errors import DimensionError, ParameterError, RepresentationError
+from cellsys.field.field import GradientField
 from cellsys.kinds import Filled as Filled
 from cellsys.population.ported.equivariant_cells import EquivariantCells
 from cellsys.population.ported.linear_cells import PortedCells
@@ -68,6 +69,12 @@ class LoadPorts(Placement):
             raise ParameterError(
                 f"LoadPorts has its own positions and headings and knows no graph; leave "
                 f"{', '.join(more)} out"
+            )
+        if isinstance(self.field, GradientField) and not self.field.matrix.disc.flat:
+            raise RepresentationError(
+                "LoadPorts hands loads to a field, and cells in a gel whose fibres buckle do not "
+                "act as loads: those of single cells do not add up there, displacements do "
+                "(analysis/gel_compaction.py); run the scene (cs.run_scene)"
             )
         request.count({"LoadPorts.positions": len(self.positions)})
         model = request.model
