@@ -156,6 +156,7 @@ GOOD = {
     "rest": lambda: run().geometry["matrix.rest"], "n": lambda: 2, "seed": lambda: 0,
     "alone_scenes.scene": pair, "fit_polarity.data": run,
     "budget.target": loop, "budget.error": lambda: 0.01,
+    "local_volumes.u": lambda: run().geometry["matrix.rest"],
     "by_step.method": lambda: cs.RungeKutta4, "by_step.steps": lambda: [0.1],
     "by_tolerance.method": lambda: cs.DOP853, "by_tolerance.tolerances": lambda: [1e-3],
     "cells_cost.models": lambda: [equivariant()], "check_budget.found": lambda: blank(cs.Budget),

@@ -207,6 +207,7 @@ def affine_map(x: np.ndarray, u: np.ndarray) -> np.ndarray:
     return np.eye(3) + found[:3].T
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CellPull(Shown):
     """How one cell pulls on its gel over one sampling interval.
