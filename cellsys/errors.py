@@ -103,6 +103,10 @@ class UnusedDataWarning(UserWarning):
     """A file holds arrays that nobody asks for, under names that nobody knows."""
 
 
+class TransposedDataWarning(UserWarning):
+    """An array of samples looks as if its rows were states and its columns samples."""
+
+
 class DamagedRunWarning(UserWarning):
     """A run in the cache is damaged or incomplete, and is made again."""
 

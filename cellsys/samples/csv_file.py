@@ -20,6 +20,7 @@ import numpy as np
 
 from cellsys.errors import DataError, FileFormatError, UnitError
 from cellsys.kinds import shown
+from cellsys.samples.measured import even, resampled
 from cellsys.store.regular import open_regular
 from cellsys.units import quantity, same_mu
 
@@ -37,10 +38,14 @@ class Table(NamedTuple):
     x: np.ndarray
     names: tuple[str, ...] | None
     step: float | None
+    resampling_error: float | None = None
 
 
-def read_csv(path: Path) -> Table:
+def read_csv(path: Path, *, resample: float | None = None, gaps: bool = False) -> Table:
     """The samples in a CSV file; see the module.
+
+    With `gaps` an empty or not finite cell of a state is NaN; with `resample` the samples are put
+    on even times so many s apart.
 
     Raises
     ------
@@ -58,6 +63,7 @@ def read_csv(path: Path) -> Table:
     names = None if header is None else _names(header, path)
     width = len(first.cells)
     values = np.empty((len(rows), width))
+    times = {} if names is None else _time_columns(names, path)
     for k, row in enumerate(rows):
         if len(row.cells) != width:
             raise FileFormatError(
@@ -66,28 +72,39 @@ def read_csv(path: Path) -> Table:
             )
         numbers = [_number(cell) for cell in row.cells]
         for column, number in enumerate(numbers):
-            if number is None or not math.isfinite(number):
-                _refuse(path, row, column, names)
+            if number is not None and math.isfinite(number):
+                continue
+            if gaps and column not in times and (number is not None or not row.cells[column]):
+                numbers[column] = math.nan
+                continue
+            _refuse(path, row, column, names)
         values[k] = numbers
     if len(rows) < 3:
         raise FileFormatError(
             f"{path.name} has {len(rows)} rows of numbers; three are the least that can be learned "
             "from"
         )
-    times = {} if names is None else _time_columns(names, path)
     if names is not None and len(times) > 1:
         raise FileFormatError(
             f"{path.name} has several columns of time: {', '.join(names[k] for k in times)}; "
             "leave one"
         )
     if not times or names is None:
+        if resample is not None:
+            raise DataError(f"{path.name} has no column of time to resample by; add 't [s]'")
         return Table(values, names, None)
     ((column, scale),) = times.items()
     if width < 2:
         raise FileFormatError(f"{path.name} has a column of time and no other; states are missing")
     where = [f"line {row.line}" for row in rows]
-    step = interval(values[:, column] * scale, path.name, where)
-    return Table(np.delete(values, column, axis=1), (*names[:column], *names[column + 1 :]), step)
+    t, x = values[:, column] * scale, np.delete(values, column, axis=1)
+    left = (*names[:column], *names[column + 1 :])
+    if resample is not None:
+        if not np.isfinite(x).all():
+            raise DataError(f"{path.name}: leave out rows with missing cells before resampling")
+        x, error = resampled(t, x, resample, path.name)
+        return Table(x, left, resample, error)
+    return Table(x, left, interval(t, path.name, where))
 
 
 def interval(t: np.ndarray, name: str, where: list[str] | None = None) -> float:
@@ -100,14 +117,16 @@ def interval(t: np.ndarray, name: str, where: list[str] | None = None) -> float:
     """
     steps = np.diff(t)
     usual = float(np.median(steps))
+    if (step := even(t)) is not None:
+        return step
     k = int(np.argmax(np.abs(steps - usual)))
     off = float(abs(steps[k] - usual))
     if usual > 0 and off <= EQUAL * usual:
         return float(t[-1] - t[0]) / len(steps)
     places = where or [f"sample {i}" for i in range(len(t))]
     cure = (
-        "sample again at equal intervals (numpy.interp), or leave the times out and give dt= where "
-        "they are only rounded"
+        "give resample= in s to put the samples on even times (the error this adds is told), or "
+        "leave the times out and give dt= where they are only rounded"
     )
     if not usual > 0:
         k = int(np.argmin(steps))

@@ -10,8 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from cellsys.arguments import checked
-from cellsys.errors import DataError, DimensionError
+from cellsys.errors import DataError, DimensionError, ParameterError
 from cellsys.samples.commands import recorded_commands
+from cellsys.samples.measured import JITTER, check_choices, off_grid
 from cellsys.samples.snapshots import RunData, Snapshots
 from cellsys.samples.user_data import from_user
 from cellsys.system import Block, Layout
@@ -25,6 +26,9 @@ def snapshots(
     scale: str = "block",
     dt: float | None = None,
     blocks: Mapping[str, Sequence[int]] | None = None,
+    resample: float | None = None,
+    missing: str = "refuse",
+    delays: int = 0,
 ) -> Snapshots:
     """Collect runs into snapshots.
 
@@ -41,6 +45,16 @@ def snapshots(
     blocks : mapping of str to indices, optional
         For a user's arrays: which columns of x form which block, e.g.
         ``{"component": range(6), "field": range(6, 30)}``.
+    resample : float, optional
+        For files with times: put unevenly sampled states on even times so many s apart, linear
+        between; ``source["resampling_error"]`` tells the error this adds, over the spread of the
+        column. Without it stamps may lie 1e-3 of the interval off even times (rounding, float32).
+    missing : {"refuse", "split", "fill"}
+        What to do where states are NaN or a cell is empty: refuse (default), split the run there
+        into runs of at least three samples, or fill linearly; ``source["missing_samples"]``.
+    delays : int
+        Append the last so many samples to each (rows of a Hankel matrix), for few measured
+        quantities; the blocks are called ``NAME.delay1``, ...
 
     Raises
     ------
@@ -49,9 +63,15 @@ def snapshots(
     """
     if not runs:
         raise DataError("snapshots need at least one run")
+    check_choices(resample, missing, delays)
     if all(isinstance(r, Trajectory) for r in runs):
+        if resample is not None or missing != "refuse" or delays:
+            raise ParameterError(
+                "resample, missing and delays are for measured data; a run of the toolbox is "
+                "sampled evenly and whole"
+            )
         return _from_trajectories(list(runs), scale)  # type: ignore[arg-type]
-    return from_user(list(runs), scale, dt, blocks)
+    return from_user(list(runs), scale, dt, blocks, resample, missing, delays)
 
 
 def _from_trajectories(runs: list[Trajectory], scale: str) -> Snapshots:
@@ -62,8 +82,16 @@ def _from_trajectories(runs: list[Trajectory], scale: str) -> Snapshots:
     if not steps.size:
         raise DataError("every run is too short: a run needs at least three samples")
     dt = float(steps[0])
-    if np.ptp(steps) > 1e-9 * dt:
-        raise DataError("all runs must be sampled at one constant interval")
+    for i, run in enumerate(runs):
+        if len(run) < 3:
+            continue
+        step, off, k = off_grid(np.asarray(run.t, dtype=float))
+        if off > JITTER * step or abs(step - dt) > JITTER * dt:
+            raise DataError(
+                f"all runs must be sampled at one constant interval: that of run {i} is "
+                f"{step:.9g} s, with t[{k}] = {run.t[k]:.9g} s off even times by {off:.3g} s, and "
+                f"the first of all is {dt:.9g} s; sample the runs at equal times"
+            )
     learned = [b for b in first.states if b.role != "controller" and b.kind != "label"]
     order = np.arange(first.states.size)
     keep_x = np.concatenate([order[first.states.slice(b.name)] for b in learned])

@@ -16,9 +16,11 @@ from cellsys.errors import (
     DimensionError,
     FileFormatError,
     ParameterError,
+    TransposedDataWarning,
     UnusedDataWarning,
 )
 from cellsys.samples.csv_file import EQUAL, interval, read_csv
+from cellsys.samples.measured import delayed, looks_transposed, resampled, without_missing
 from cellsys.samples.snapshots import RunData, Snapshots
 from cellsys.store.archive import READ_ERRORS, check_members
 from cellsys.store.regular import open_regular
@@ -33,9 +35,13 @@ def from_user(
     scale: str,
     dt: float | None,
     blocks: Mapping[str, Sequence[int]] | None,
+    resample: float | None = None,
+    missing: str = "refuse",
+    delays: int = 0,
 ) -> Snapshots:
     """See `cellsys.snapshots`: arrays (T, n), `RunData`, ``.npz`` and ``.csv`` files."""
     data: list[RunData] = []
+    told: dict[str, float] = {}
     names: tuple[str, ...] | None = None
     steps: dict[str, tuple[float, str]] = {}
     columns: dict[str, tuple[tuple[str, ...], str]] = {}
@@ -56,7 +62,9 @@ def from_user(
         path = Path(run)
         kind = path.suffix.lower()
         if kind == ".csv":
-            table = read_csv(path)
+            table = read_csv(path, resample=resample, gaps=missing != "refuse")
+            if table.resampling_error is not None:
+                told[path.name] = table.resampling_error
             data.append(RunData(x=table.x, label=path.name))
             step = table.step
             if table.names is not None:
@@ -73,6 +81,9 @@ def from_user(
                     label=path.name,
                 )
             )
+            if resample is not None:
+                data[-1], told[path.name] = _evenly(data[-1], arrays, resample, path)
+                arrays = {"dt": np.asarray(resample)}
             step = _step(arrays, path)
             for what in ("W_x", "W_eta"):
                 if what in arrays:
@@ -92,6 +103,21 @@ def from_user(
                     f"{name} of run {i} must be a matrix, one row for a sample or an interval, got "
                     f"shape {np.shape(value)}; a single column is {name}[:, None]"
                 )
+    gone = 0
+    if missing != "refuse":
+        found = [without_missing(run, missing) for run in data]
+        data, gone = [run for runs, _ in found for run in runs], sum(lost for _, lost in found)
+        if not data:
+            raise DataError("no run has three samples in a row; fill them (missing='fill')")
+    for each in data:
+        if looks_transposed(np.asarray(each.x)):
+            warnings.warn(
+                f"{each.label}: {each.x.shape[0]} samples of {each.x.shape[1]} states that jump "
+                "from sample to sample and run smoothly from state to state: is the array "
+                "transposed? Rows are samples; give x.T otherwise",
+                TransposedDataWarning,
+                stacklevel=3,
+            )
     n = data[0].x.shape[1]
     n_eta = 0 if data[0].eta is None else data[0].eta.shape[1]
     states, order = _blocks(n, blocks, names)
@@ -99,6 +125,11 @@ def from_user(
         data = [_permuted(r, order) for r in data]
         W_x = None if W_x is None else W_x[np.ix_(order, order)]
         W_eta = None if W_eta is None else W_eta[order]
+    if delays:
+        if W_x is not None or W_eta is not None:
+            raise ParameterError("delays are for runs of states alone; leave W_x and W_eta out")
+        data, states = delayed(data, states, delays)
+        n = states.size
     n_commands = 0 if data[0].commands is None else data[0].commands.shape[1]
     return Snapshots(
         runs=tuple(data),
@@ -111,8 +142,30 @@ def from_user(
         W_eta=sp.csr_array((n, n_eta)) if W_eta is None else sp.csr_array(np.asarray(W_eta, float)),
         command_names=tuple(f"command[{k}]" for k in range(n_commands)),
         scale=scale,
-        source={"runs": [r.label for r in data]},
+        source={
+            "runs": [r.label for r in data],
+            **({"resampling_error": told} if told else {}),
+            **({"missing_samples": gone, "missing": missing} if gone else {}),
+            **({"delays": delays} if delays else {}),
+        },
     )
+
+
+def _evenly(
+    run: RunData, arrays: Mapping[str, np.ndarray], resample: float, path: Path
+) -> tuple[RunData, float]:
+    """A run of an npz file on even times, and the error that this adds."""
+    if "t" not in arrays:
+        raise DataError(f"{path.name} has no times t to resample by")
+    if run.eta is not None or run.u is not None or run.commands is not None:
+        raise ParameterError(
+            f"resample is for runs of states alone; {path.name} has loads or commands"
+        )
+    x = real_array(run.x, f"{path.name}: x")
+    if not np.isfinite(x).all():
+        raise DataError(f"{path.name}: leave out samples with NaN before resampling")
+    made, error = resampled(real_array(arrays["t"], "t"), x, resample, path.name)
+    return dataclasses.replace(run, x=made), error
 
 
 def _blocks(
