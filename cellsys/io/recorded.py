@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -316,8 +314,6 @@ def _read(files: RecordedFiles, plan: _ReadPlan, folder: Path) -> Trajectory:
             geometry=plan.geometry | _bond_table(bonds),
             source={**plan.source, "file": folder.name, "closure_share": _share(share)},
         )  # fmt: skip
-    if place is not None:
-        weakref.finalize(run, shutil.rmtree, str(place), True)
     return run
 
 

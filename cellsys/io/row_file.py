@@ -6,12 +6,13 @@ import contextlib
 import mmap
 import shutil
 import tempfile
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-_IN_MEMORY = 64e6  # bytes of a run above which its arrays go to a temporary folder
+IN_MEMORY = 64e6  # bytes of a run above which its arrays go to a temporary folder
 
 
 class RowFile:
@@ -42,14 +43,24 @@ class RowFile:
         if not isinstance(self._array, np.memmap):
             return self._array
         self._array.flush()
-        self._array = np.load(self._path, mmap_mode="r", allow_pickle=False)
-        return self._array
+        array: np.ndarray = np.load(self._path, mmap_mode="r", allow_pickle=False)
+        # The file goes with its last reader, whichever view of it that is.
+        weakref.finalize(array.base, _discard, self._path)
+        self._array = array
+        return array
+
+
+def _discard(path: Path) -> None:
+    """Remove a file, and its folder with the last one."""
+    path.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        path.parent.rmdir()
 
 
 @contextlib.contextmanager
 def array_folder(name: str, size: float) -> Iterator[Path | None]:
     """A temporary folder for a large run; removed here only when reading fails."""
-    if size <= _IN_MEMORY:
+    if size <= IN_MEMORY:
         yield None
         return
     place = Path(tempfile.mkdtemp(prefix=f"cellsys-{name[:30]}-"))

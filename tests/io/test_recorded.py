@@ -1,6 +1,7 @@
 """Recorded runs [thesis A.1]: written, read, and equal to the digits written."""
 
 import dataclasses
+import gc
 
 import numpy as np
 import pytest
@@ -123,9 +124,21 @@ def test_another_program_finds_the_forces_that_move_the_cell(tmp_path):
     assert back.states.names[0] == "cell1.position[0].x"
 
 
-def spoil(folder, name, old, new):
-    path = folder / name
-    path.write_text(path.read_text().replace(old, new, 1))
+def test_a_large_run_lives_on_disk_as_long_as_anybody_reads_it(tmp_path, monkeypatch):
+    """Naive: the files go with the run object, which snapshots do not keep."""
+    monkeypatch.setattr("cellsys.io.row_file.IN_MEMORY", 0.0)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "t"))
+    (tmp_path / "t").mkdir()
+    write(tmp_path / "a")
+    data = cs.read_recorded(tmp_path / "a")
+    gc.collect()
+    assert isinstance(data.runs[0].eta, np.memmap)
+    small = cs.reduce(data, order=1, method=cs.PCR())
+    assert np.isfinite(small.A).all()
+    assert list((tmp_path / "t").iterdir())
+    del data
+    gc.collect()
+    assert not list((tmp_path / "t").iterdir())
 
 
 def test_bad_files_are_named_by_row_and_column(tmp_path):
