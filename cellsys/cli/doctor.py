@@ -18,6 +18,10 @@ LIBRARIES = (
 )  # fmt: skip
 # extra: (distribution, what it gives)
 EXTRAS = {
+    "data": ("xarray", "runs as xarray data sets and pandas tables"),
+    "tracks": ("geff", "tracks in the GEFF format"),
+    "images": ("scikit-image", "TIFF masks and movies, cells found in them, polygons"),
+    "vtk": ("pyvista", "meshes of other programs"),
     "slicot": ("slycot", "python-control's own H-infinity norms and balanced truncation"),
     "cluster": ("distributed", "runs on a dask cluster: cs.run_ensemble(..., executor=Client())"),
     "test": ("pytest", "the tests: python -m pytest -n 2 --dist loadfile"),
