@@ -142,6 +142,9 @@ def table(base: cs.Scene, run_of, seconds: dict[str, float], out: Path | None) -
             print(f"{name}: a single gel lacks nodes of the pair's, taken away as hanging")
         tried["isolated loads, linear gel"] = dead_loads(scene, alone, True)
         tried["isolated loads, nonlinear gel"] = dead_loads(scene, alone, False)
+        radial = cs.RadialCell().of(cs.build(scene))
+        small = cs.simulate(radial, base.matrix.method(base), base.times)
+        tried["two RadialCells, full gel"] = small.block(MATRIX)[-1]
         for what, u in tried.items():
             told = u if isinstance(u, str) else "{:.3f}, {:.3f}".format(*miss(u, run))
             print(f"{name}, {what:34s} {told}")

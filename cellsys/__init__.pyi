@@ -169,6 +169,7 @@ from .cell import (
     ErrorBands,
     Forecast,
     PolarPort,
+    RadialCell,
     ValidityMonitor,
     realisation_floor,
     with_matrix,

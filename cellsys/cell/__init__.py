@@ -13,6 +13,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "on_field": ["CellsOnField"],
         "on_matrix": ["with_matrix"],
         "port": ["PolarPort"],
+        "radial": ["RadialCell"],
         "reductor": ["Equivariant"],
         "schedule": ["Clock"],
         "worth": ["realisation_floor"],

@@ -72,9 +72,9 @@ class LoadPorts(Placement):
             )
         if isinstance(self.field, GradientField) and not self.field.matrix.disc.flat:
             raise RepresentationError(
-                "LoadPorts hands loads to a field, and cells in a gel whose fibres buckle do not "
-                "act as loads: those of single cells do not add up there, displacements do "
-                "(analysis/gel_compaction.py); run the scene (cs.run_scene)"
+                "LoadPorts hands loads to a field, and those of close cells in a gel whose "
+                "fibres buckle run away: a gel that yields takes nothing off them "
+                "(analysis/gel_compaction.py, two cells 20 um apart); a cs.RadialCell follows it"
             )
         request.count({"LoadPorts.positions": len(self.positions)})
         model = request.model
