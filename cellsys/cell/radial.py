@@ -113,7 +113,9 @@ class _RadialClutch(Element):
             *out,
         )
 
-    def rates(self, s: Configuration, v: dict[str, np.ndarray], out: tuple) -> None:
+    def rates(
+        self, s: Configuration, v: dict[str, np.ndarray], out: tuple[np.ndarray, ...]
+    ) -> None:
         slip = np.empty_like(self.outward)
         kernels.gather(v[MATRIX], *self.footing.weights(s), slip)
         drive = float(np.einsum("ij,ij->", slip, self.outward)) / len(slip)
