@@ -24,6 +24,7 @@ from cellsys.kinds import Count, Seed
 from cellsys.loop import ClosedLoop
 from cellsys.overdamped import OverdampedSystem
 from cellsys.scene import Scene, build
+from cellsys.scene.steppers import STEPS as STEPS_OF
 
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 STEPS = (2.0, 1.0, 0.5, 0.25, 0.1)
@@ -121,7 +122,8 @@ def stepped_by(scene: Scene, integrator: Integrator) -> Scene:
         For any other integrator.
     """
     if isinstance(integrator, RKC):
-        return dataclasses.replace(scene, stepper="RKC", tolerance=integrator.rtol)
+        step = min(integrator.largest_step, STEPS_OF["RKC"])
+        return dataclasses.replace(scene, stepper="RKC", tolerance=integrator.rtol, step=step)
     if not isinstance(integrator, (LinearlyImplicit, BDF2)):
         raise ParameterError(
             f"a scene is stepped by LinearlyImplicit, BDF2 or RKC, not by {integrator!r}"

@@ -29,7 +29,7 @@ from cellsys.scene.gel import GelScene
 from cellsys.scene.parts import CellScene, Gradient, Inclusion, Training
 from cellsys.scene.plan import Kind
 from cellsys.scene.registry import Registry
-from cellsys.scene.steppers import step_told
+from cellsys.scene.steppers import step_told, stepper_told
 from cellsys.scene.tables import (
     CommandsTable,
     DiscSceneTable,
@@ -131,18 +131,17 @@ def _plane_fields(
     ):
         if value < least:
             raise SceneError(f"{name} must be >= {least}, got {value}")
+    steps = {
+        "step": parsed.step if "step" in parsed.model_fields_set else None,
+        "run.step": parsed.run.step,
+    }
+    stepper = stepper_told(steps, parsed.run.stepper, parsed.run.tolerance)
     return dict(
         name=parsed.name,
         duration=parsed.duration,
         sample=parsed.sample,
-        step=step_told(
-            {
-                "step": parsed.step if "step" in parsed.model_fields_set else None,
-                "run.step": parsed.run.step,
-            },
-            parsed.run.stepper,
-        ),
-        stepper=parsed.run.stepper,
+        step=step_told(steps, stepper),
+        stepper=stepper,
         tolerance=parsed.run.tolerance,
         seed=parsed.seed,
         until=parsed.until,

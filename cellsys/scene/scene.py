@@ -42,8 +42,9 @@ class Scene:
 
     Built by `load_scene` or `Scene.parse`; change it with `dataclasses.replace`. Times in s,
     lengths in um, angles in rad. `cells` may be empty (a passive matrix) and `matrix` None (a free
-    membrane), not both. `stepper` is "auto", "BDF2", "RKC" or "LinearlyImplicit" (which None stands
-    for), `step` and `tolerance` its setting: ``[run]`` in a file. `learn` says whether `cs.study`
+    membrane), not both. `stepper` is "auto" (a file that names none and no
+    step), "BDF2", "RKC" or "LinearlyImplicit" (which None stands for), `step` and `tolerance` its
+    setting: ``[run]`` in a file. `learn` says whether `cs.study`
     learns models from its `training`; a scene file without [training] does not ask for any. `text`
     is the file that the scene was read from, as it was given. `until` "contact" ends the run where
     two cells touch, before `duration` if that comes first.

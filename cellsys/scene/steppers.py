@@ -31,6 +31,7 @@ SceneStepper = LinearlyImplicit | BDF2 | RKC
 STEPPERS = ("auto", "BDF2", "RKC", "LinearlyImplicit")
 _FREE = 100.0  # s: the tolerance of RKC and the samples alone decide
 STEPS = {"BDF2": 1.25, "LinearlyImplicit": 0.5, "RKC": _FREE}  # s, where a scene names none
+UNTOLD = STEPS["LinearlyImplicit"]  # s, of scenes whose stepper chooses its own
 _TOLERANCE = 0.01  # of RKC
 _DRAWN = 0.5  # s: how often RKC draws what binds and ruptures, where a scene names no step
 _JUMPING = 0.25  # s: longest step of first order between bindings and ruptures
@@ -50,6 +51,11 @@ def check_stepping(stepper: str | None, step: float, tolerance: float | None) ->
         near = difflib.get_close_matches(stepper, STEPPERS, 1, 0.5)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise SceneError(f"run.stepper must be one of {', '.join(STEPPERS)}, got {stepper!r}{hint}")
+    if stepper == "auto" and step != UNTOLD:
+        raise SceneError(
+            f'step = {step:g} s is given and stepper = "auto" chooses its own; name one of '
+            f"{', '.join(STEPPERS[1:])} with it"
+        )
     if tolerance is None:
         return
     if stepper is None:
@@ -67,6 +73,15 @@ def check_stepping(stepper: str | None, step: float, tolerance: float | None) ->
             f"run.tolerance must be > 0 and < 1, a share, got {tolerance!r}; 0.01 suits RKC, 0.05 "
             "the others"
         )
+
+
+def stepper_told(
+    steps: Mapping[str, float | None], stepper: str | None, tolerance: float | None
+) -> str | None:
+    """What a scene file that names no stepper has: "auto", or LinearlyImplicit at a step it names."""
+    if stepper is None and tolerance is None and all(step is None for step in steps.values()):
+        return "auto"
+    return stepper
 
 
 def step_told(values: Mapping[str, float | None], stepper: str | None) -> float:
@@ -88,7 +103,7 @@ def step_told(values: Mapping[str, float | None], stepper: str | None) -> float:
                 f"or name one of {', '.join(STEPPERS[1:])}"
             )
         return value
-    return STEPS.get(stepper or "", STEPS["LinearlyImplicit"])
+    return STEPS.get(stepper or "", UNTOLD)
 
 
 @dataclass(frozen=True)

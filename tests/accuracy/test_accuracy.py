@@ -291,6 +291,7 @@ def test_budgets_of_a_scene_hold_on_other_headings_places_and_seeds():
 def test_a_scene_takes_the_setting_of_its_own_stepper():
     """What ``cellsys run --error`` looks among, and what the scene then is."""
     from cellsys.accuracy.starts import scene_setups, stepped_by
+    from cellsys.scene.steppers import STEPS
 
     plain = cs.load_scene("spreading")
     for name, integrator, changed in (
@@ -298,7 +299,7 @@ def test_a_scene_takes_the_setting_of_its_own_stepper():
         ("BDF2", cs.BDF2(step=2.0), {"step": 2.0}),
         ("RKC", cs.RKC(rtol=1e-3, atol=1e-3), {"tolerance": 1e-3}),
     ):
-        scene = dataclasses.replace(plain, stepper=name)
+        scene = dataclasses.replace(plain, stepper=name, step=STEPS.get(name, 0.5))
         assert [s.name for s in scene_setups(scene)] == [name or "LinearlyImplicit"]
         assert stepped_by(scene, integrator) == dataclasses.replace(scene, **changed)
     auto = dataclasses.replace(plain, stepper="auto")

@@ -188,12 +188,14 @@ def test_a_field_below_its_own_error_is_not_drawn(monkeypatch, tmp_path):
     assert row["displacement_max_um"] == u.max() > 50 * u[-1].max() > 0
     assert row["displacement_max_at_s"] == result.run.t[u.max(axis=1).argmax()] < 150
     assert row["displacement_rms_end_um"] == pytest.approx(np.sqrt(np.mean(u[-1] ** 2)))
-    # the error bound holds against steps a fifth as long while the load rises, and is not idle
-    fine = cs.run_scene(dataclasses.replace(result.scene, step=0.1, duration=60.0))
+    # the error bound holds against steps a tenth as long while the load rises, and is not idle
+    fine = cs.run_scene(
+        dataclasses.replace(result.scene, stepper="BDF2", step=0.125, duration=60.0)
+    )
     both = [r.block("matrix.displacement")[: len(fine)] for r in (fine, result.run)]
     off = np.linalg.norm(both[0] - both[1], axis=2).max()
     assert u[-1].max() < row["matrix_error_um"]
-    assert off < row["matrix_error_um"] < 20 * off
+    assert off < row["matrix_error_um"] < 50 * off  # of a second-order step: 30 times here
     assert greatest.get_title() == f"greatest, t = {row['displacement_max_at_s']:g} s"
     assert len(greatest.collections) == 2  # dots and arrows
     assert end.get_title() == "at the end, t = 400 s"
