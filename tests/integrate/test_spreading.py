@@ -85,9 +85,9 @@ def test_initial_laws_are_the_instantaneous_ones(runs, system):
     assert np.array_equal(runs[STEP].eta_start[:n], system.eta(0.0, system.x0.copy()))
 
 
-def rms(a, b, block):
-    """Rms over nodes of the distance at the last sample, nm."""
-    gap = a.block(block)[-1] - b.block(block)[-1]
+def rms(a, b, block, at=-1):
+    """Rms over nodes of the distance at a sample, by default the last, nm."""
+    gap = a.block(block)[at] - b.block(block)[at]
     return 1e3 * float(np.sqrt((gap**2).sum(axis=1).mean()))
 
 
@@ -105,14 +105,15 @@ def test_shipped_step_against_explicit_euler(system):
     """After 100 s: 1 nm rms on the matrix, 5 nm on the membrane (targets of the issue)."""
     t = np.arange(0.0, 101.0, 5.0)
     limit = stability_limit(system)
-    reference = simulate(system, ExplicitEuler(step=0.5 * limit), t, auxiliaries=False)
+    reference = simulate(system, ExplicitEuler(step=limit), t, auxiliaries=False)
     run = simulate(system, LinearlyImplicit(step=STEP), t)
     assert rms(run, reference, "matrix.displacement") < 1.0
     assert rms(run, reference, "cell1.position") < 5.0
-    # The reference itself: at its full limit it differs by its own first-order error.
-    coarse = simulate(system, ExplicitEuler(step=limit), t, auxiliaries=False)
-    assert rms(coarse, reference, "matrix.displacement") < 0.1
-    assert rms(coarse, reference, "cell1.position") < 0.5
+    # The reference itself, over the fastest part: its first-order error is its distance to half
+    # the step.
+    fine = simulate(system, ExplicitEuler(step=0.5 * limit), t[:5], auxiliaries=False)
+    assert rms(reference, fine, "matrix.displacement", 4) < 0.1
+    assert rms(reference, fine, "cell1.position", 4) < 0.5
 
 
 @pytest.mark.slow
