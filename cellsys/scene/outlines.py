@@ -26,6 +26,11 @@ _COMMON = {
     "[[cells]]": "one such table a cell",
 }
 _WIDE = 96
+_STEPPER = (
+    "# What steps it: auto (what suits the scene), BDF2, RKC or LinearlyImplicit, with a longest",
+    "# step or a tolerance. cellsys run --error 0.02 finds them for an error.",
+    '# run = { stepper = "BDF2", step = "1.25 s" }',
+)
 
 
 def outline(kind: str, name: str) -> str:
@@ -63,6 +68,8 @@ def outline(kind: str, name: str) -> str:
             if not any(_COMMON[key] in known for known in lines):
                 lines += _comment(_COMMON[key])
             lines.append(line)
+            if key == "seed" and kind != "chain":
+                lines += ["", *_STEPPER]
         else:
             lines.append(line)
     return "\n".join(lines) + "\n"
