@@ -38,9 +38,9 @@ def disk_margin(loci: Loci) -> tuple[float, float]:
         M if M is not None and loci.fitting is not None and 2 * M.n_states <= _ROWS else None
     )
     if by_levels is None:
-        omega, peak = _climbed(size, loci.omega, size(loci.omega))
+        omega, peak = climbed(size, loci.omega, size(loci.omega))
     else:  # the L at hand says where to begin, and M how large it is there
-        omega = float(loci.omega[np.argmax(_of_values(loci.L))])
+        omega = float(loci.omega[np.argmax(size_of_values(loci.L))])
         peak = float(size(np.array([omega]))[0])
     for end in (0.0, top):
         if M is not None and np.isinf(end):
@@ -85,10 +85,10 @@ def _of_system(M: Realization) -> Size:
 
 
 def _of_matrices(loci: Loci) -> Size:
-    return lambda omega: _of_values(loci.evaluate(s_plane(omega, loci.system.dt)))
+    return lambda omega: size_of_values(loci.evaluate(s_plane(omega, loci.system.dt)))
 
 
-def _of_values(L: np.ndarray) -> np.ndarray:
+def size_of_values(L: np.ndarray) -> np.ndarray:
     """Largest singular value of (I + L)^-1 (I - L), from L (q, q, k); inf if I + L is singular."""
     if len(L) == 1:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -106,7 +106,7 @@ def _of_values(L: np.ndarray) -> np.ndarray:
     return np.where(finite, _largest(np.moveaxis(M, 0, -1)), np.inf)
 
 
-def _climbed(size: Size, omega: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+def climbed(size: Size, omega: np.ndarray, values: np.ndarray) -> tuple[float, float]:
     """The largest value, after the highest local maxima have been climbed by smaller steps."""
     i = int(np.argmax(values))
     best, peak = float(omega[i]), float(values[i])

@@ -13,6 +13,7 @@ from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import DimensionError
 from cellsys.response.crossings import crossings
+from cellsys.response.delayed import DelayedLoci, with_samples_of_delay
 from cellsys.response.disk import disk_margin
 from cellsys.response.eigenvalue_loci import Loci
 from cellsys.response.frequency import check_omega
@@ -54,7 +55,7 @@ class Margins(Drawable):
     closed_loop_stable : bool
         Z = 0, no other closed-loop pole on the boundary, I + D regular. Where False the margins
         are distances to the boundary, no margins of stability.
-    loci : Loci
+    loci : Loci or DelayedLoci
         The grid and the loci, for drawing.
     """
 
@@ -76,7 +77,7 @@ class Margins(Drawable):
     encirclements: int
     integrators: int
     closed_loop_stable: bool
-    loci: Loci
+    loci: Loci | DelayedLoci
 
     def table(self) -> dict[str, float]:
         """The figures of merit by name, deg and s."""
@@ -195,7 +196,9 @@ def _sorted(rows: np.ndarray) -> np.ndarray:
 
 
 @checked
-def margins(sys: LinearSystem, omega: np.ndarray | None = None) -> Margins:
+def margins(
+    sys: LinearSystem, omega: np.ndarray | None = None, *, delay: float = 0.0
+) -> Margins:
     """Gain, phase, delay and disk margins of the NEGATIVE feedback loop det(I + L) = 0.
 
         gain margin 1/|L| where arg L = -180 deg;  phase margin 180 deg + arg L where |L| = 1;
@@ -212,6 +215,9 @@ def margins(sys: LinearSystem, omega: np.ndarray | None = None) -> Margins:
         Return ratio L, as many inputs as outputs.
     omega : array, optional
         Grid in rad/s to look for crossings on, instead of the automatic one; positive.
+    delay : float
+        A pure delay tau of a scalar loop, s: the margins of L exp(-s tau), exactly, without a
+        Pade form. Poles counted in `closed_loop_unstable` are those of the delayed loop.
 
     Returns
     -------
@@ -220,7 +226,10 @@ def margins(sys: LinearSystem, omega: np.ndarray | None = None) -> Margins:
     Raises
     ------
     DimensionError
-        L is not square.
+        L is not square, or has a delay and several channels.
+    ParameterError
+        A delay that is no whole number of samples of a discrete loop, or one of a loop that does
+        not roll off below 1.
     DataError, ParameterError, MemoryBudgetError
         As for `frequency_response`.
 
@@ -236,10 +245,18 @@ def margins(sys: LinearSystem, omega: np.ndarray | None = None) -> Margins:
             f"{system.n_inputs} inputs; close or select channels first"
         )
     system = system.dense()
+    if delay:
+        if system.n_inputs != 1:
+            raise DimensionError(
+                f"delay = {delay:g} s is for a scalar loop, got {system.n_inputs} channels; "
+                "select one"
+            )
+        if system.is_discrete:
+            system = with_samples_of_delay(system, delay)
     if omega is not None:
         omega = check_omega(omega, system)
         omega = omega[omega > 0]
-    loci = Loci(system, omega)
+    loci: Loci | DelayedLoci = Loci(system, omega)
     P, _ = _unstable(system.A, system.dt)
     closed = closed_loop_matrix(system)
     solvable = closed.shape == system.A.shape
@@ -248,7 +265,12 @@ def margins(sys: LinearSystem, omega: np.ndarray | None = None) -> Margins:
         phase, gain, disk = np.zeros((0, 2)), np.zeros((0, 2)), (np.inf, np.nan)
     else:
         phase, gain = _crossings(loci)
-        disk = disk_margin(loci)
+        if delay and not system.is_discrete:
+            loci = DelayedLoci(loci, delay, gain)
+            phase, gain, disk = loci.phase_crossings, loci.gain_crossings(), loci.disk()
+            Z, edge = loci.unstable(Z), edge + loci.on_the_axis()
+        else:
+            disk = disk_margin(loci)
     picked = _pick(phase, gain, loci)
     fixed = _fixed_integrators(system)
     gm, gm_w, pm, pm_w, delay, delay_w, up, down = picked
