@@ -213,15 +213,22 @@ from .reduction import (
 from .samples import RunData, Snapshots, snapshots
 from .worth import assess
 from .response import (
+    FirstOrderHold,
+    ImpulseInvariance,
+    MatchedPoles,
+    MeasuredMargins,
     Realization,
     RootSet,
     Tustin,
     ZeroOrderHold,
     balanced_truncation,
+    bandwidth,
     c2d,
     controllability_gramian,
     d2c,
+    dcgain,
     error_system,
+    feedback,
     forced_response,
     frequency_response,
     h2_norm,
@@ -234,15 +241,18 @@ from .response import (
     pseudospectral_abscissa,
     root_locus,
     sensitivity,
+    step_info,
     step_response,
 )
 from .spectra import (
     damping,
+    minreal,
     participation,
     poles,
     pseudospectra,
     realization,
     stability,
+    stabsep,
     zeros,
 )
 from .scene import (

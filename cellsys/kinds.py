@@ -175,6 +175,7 @@ def _is_seed(value: object) -> bool:
     return whole is not None and whole >= 0
 
 
+ComplexArray = Annotated[np.ndarray, _must_be("an array of numbers", _is_array)]
 Seed = Annotated[int, _must_be("a whole number >= 0", _is_seed)]
 Whole = Annotated[int, _must_be("a whole number >= 0", lambda v: _is_from(0, v))]
 Count = Annotated[int, _must_be("a whole number >= 1", lambda v: _is_from(1, v))]

@@ -43,6 +43,16 @@ class TransferFunctionLike(Protocol):
     dt: float
 
 
+@runtime_checkable
+class FrequencyDataLike(Protocol):
+    """Frequency response data, such as control.frd(H, omega)."""
+
+    omega: Any
+
+    def eval(self, omega: Any) -> Any:
+        """Values at frequencies it holds."""
+
+
 LinearSystem = Annotated[
     StateSpaceLike | TransferFunctionLike | tuple[Any, ...] | Matrix,
     "a linear system: a control.StateSpace or a TransferFunction (of scipy.signal too; other forms "

@@ -119,6 +119,19 @@ def real_array(value: object, name: str) -> np.ndarray:
         raise DataError(f"{name} must be an array of real numbers: {error}") from error
 
 
+def complex_array(value: object, name: str) -> np.ndarray:
+    """`value` as an array of complex numbers; DataError for texts, objects and the like."""
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "biufc":
+            raise DataError(f"{name} holds {array.dtype.name}; it must be made of complex numbers")
+        return np.asarray(array, dtype=complex)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, DataError):
+            raise
+        raise DataError(f"{name} must be an array of complex numbers: {error}") from error
+
+
 def real_number(value: object, name: str) -> float:
     """`value` as a finite float.
 

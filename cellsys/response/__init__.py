@@ -5,17 +5,21 @@ by way of a polynomial, and `control` is only loaded where a result is handed ba
 """
 
 from cellsys.renamed import old_names
+from cellsys.response.feedback import bandwidth, dcgain, feedback
 from cellsys.response.frequency import FrequencyResponse, frequency_response
 from cellsys.response.margins import Margins, margins
+from cellsys.response.measured import MeasuredMargins
 from cellsys.response.norms import SystemNorm, h2_norm, hinf_norm, norm
 from cellsys.response.root_locus import RootLocus, root_locus
 from cellsys.response.sampling import Tustin, ZeroOrderHold, c2d, d2c
+from cellsys.response.sampling_rules import FirstOrderHold, ImpulseInvariance, MatchedPoles
 from cellsys.response.sensitivity_functions import (
     ErrorSystem,
     Sensitivity,
     error_system,
     sensitivity,
 )
+from cellsys.response.step_info import StepFigures, step_info
 from cellsys.response.timeresponse import (
     TimeResponse,
     forced_response,
@@ -28,14 +32,17 @@ from cellsys.spectra import (
     Gramian,
     Integrators,
     LyapunovCertificate,
+    MinimalForm,
     Participation,
     Pseudospectra,
     Realization,
     RootSet,
     StabilityReport,
+    StabilitySplit,
     controllability_gramian,
     damping,
     hankel_singular_values,
+    minreal,
     observability_gramian,
     participation,
     poles,
@@ -43,6 +50,7 @@ from cellsys.spectra import (
     pseudospectral_abscissa,
     realization,
     stability,
+    stabsep,
     zeros,
 )
 
@@ -52,11 +60,16 @@ __all__ = [
     "BalancedTruncation",
     "DampingTable",
     "ErrorSystem",
+    "FirstOrderHold",
     "FrequencyResponse",
     "Gramian",
+    "ImpulseInvariance",
     "Integrators",
     "LyapunovCertificate",
     "Margins",
+    "MatchedPoles",
+    "MeasuredMargins",
+    "MinimalForm",
     "Participation",
     "Pseudospectra",
     "Realization",
@@ -64,16 +77,21 @@ __all__ = [
     "RootSet",
     "Sensitivity",
     "StabilityReport",
+    "StabilitySplit",
+    "StepFigures",
     "SystemNorm",
     "TimeResponse",
     "Tustin",
     "ZeroOrderHold",
     "balanced_truncation",
+    "bandwidth",
     "c2d",
     "controllability_gramian",
     "d2c",
     "damping",
+    "dcgain",
     "error_system",
+    "feedback",
     "forced_response",
     "frequency_response",
     "h2_norm",
@@ -81,6 +99,7 @@ __all__ = [
     "hinf_norm",
     "impulse_response",
     "margins",
+    "minreal",
     "norm",
     "observability_gramian",
     "participation",
@@ -91,6 +110,8 @@ __all__ = [
     "root_locus",
     "sensitivity",
     "stability",
+    "stabsep",
+    "step_info",
     "step_response",
     "zeros",
 ]

@@ -9,6 +9,7 @@ there and to the left where it rises [Walton and Marshall, IEE Proceedings D 134
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -133,7 +134,7 @@ class DelayedLoci:
         ends = np.concatenate([starts[:-1:_SECTION], starts[-1:], beyond])
         grids, rows, nearest, room = [], [], 0.0, grid.MOST
         through = abs(float(self.system.D[0, 0]))
-        for lo, hi in zip(ends[:-1], ends[1:], strict=True):
+        for lo, hi in pairwise(ends):
             here = float(np.abs(self(np.array([lo])))[0])
             later = max(size[own >= lo].max(initial=0.0) * _SAFE, here * _SAFE, through)
             if lo >= own[0] and (later < nearest or later == 0.0):
@@ -165,9 +166,7 @@ class DelayedLoci:
             turn = np.abs(np.angle(values[1:] * values[:-1].conj()))
         negative = values.real < 0
         # Neighbours turn by less than a half: one on the negative side at least.
-        flip = np.flatnonzero(
-            (f[:-1] * f[1:] < 0) & (negative[:-1] | negative[1:]) & (turn < 2.0)
-        )
+        flip = np.flatnonzero((f[:-1] * f[1:] < 0) & (negative[:-1] | negative[1:]) & (turn < 2.0))
         a, b = omega[flip], omega[flip + 1]
         roots = find_roots(sine, a, b, f[flip], f[flip + 1], 0.5 * (a + b), np.zeros(len(a)))
         roots = np.concatenate([roots, omega[:-1][(f[:-1] == 0) & negative[:-1]]])
@@ -210,6 +209,4 @@ def with_samples_of_delay(system: Realization, delay: float) -> Realization:
     B[-1] = 1.0
     C = np.zeros((1, n + d))
     C[:, :n], C[:, n] = system.C, system.D[0]
-    return Realization(A, B, C, [[0.0]], dt=system.dt)
-
-
+    return Realization(A, B, C, np.zeros((1, 1)), dt=system.dt)

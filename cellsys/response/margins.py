@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, overload
 
 import numpy as np
 import scipy.linalg as sla
@@ -11,14 +11,18 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
-from cellsys.errors import DimensionError
+from cellsys.errors import DimensionError, ParameterError
+from cellsys.kinds import ComplexArray
+from cellsys.linear_systems import FrequencyDataLike, StateSpaceLike, TransferFunctionLike
 from cellsys.response.crossings import crossings
 from cellsys.response.delayed import DelayedLoci, with_samples_of_delay
 from cellsys.response.disk import disk_margin
 from cellsys.response.eigenvalue_loci import Loci
-from cellsys.response.frequency import check_omega
+from cellsys.response.frequency import FrequencyResponse, check_omega
+from cellsys.response.measured import MeasuredMargins, check_delay, measured_margins
 from cellsys.spectra.integrators import MARGINAL, counted
 from cellsys.spectra.realization import EPS, Realization, balance, balancing, realization
+from cellsys.system import Matrix
 
 
 @checked
@@ -195,10 +199,43 @@ def _sorted(rows: np.ndarray) -> np.ndarray:
     return rows[np.argsort(rows[:, 0], kind="stable")]
 
 
+@overload
+def margins(
+    sys: FrequencyResponse | FrequencyDataLike,
+    omega: None = None,
+    *,
+    delay: float = 0.0,
+    accuracy: np.ndarray | None = None,
+) -> MeasuredMargins: ...
+
+
+@overload
+def margins(
+    sys: StateSpaceLike | TransferFunctionLike | tuple[Any, ...],
+    omega: np.ndarray | None = None,
+    *,
+    delay: float = 0.0,
+) -> Margins: ...
+
+
+@overload
+def margins(
+    sys: Matrix,
+    omega: np.ndarray | None = None,
+    *,
+    delay: float = 0.0,
+    accuracy: np.ndarray | None = None,
+) -> Any: ...
+
+
 @checked
 def margins(
-    sys: LinearSystem, omega: np.ndarray | None = None, *, delay: float = 0.0
-) -> Margins:
+    sys: LinearSystem | FrequencyResponse | FrequencyDataLike,
+    omega: ComplexArray | None = None,
+    *,
+    delay: float = 0.0,
+    accuracy: np.ndarray | None = None,
+) -> Margins | MeasuredMargins:
     """Gain, phase, delay and disk margins of the NEGATIVE feedback loop det(I + L) = 0.
 
         gain margin 1/|L| where arg L = -180 deg;  phase margin 180 deg + arg L where |L| = 1;
@@ -212,16 +249,21 @@ def margins(
     Parameters
     ----------
     sys : control.StateSpace, TransferFunction (SISO) or tuple of arrays
-        Return ratio L, as many inputs as outputs.
+        Return ratio L, as many inputs as outputs. Or samples of a scalar L: a `FrequencyResponse`,
+        ``control.FRD``, or the frequencies (k,) in rad/s with their values as second argument,
+        ``margins(omega, H)``.
     omega : array, optional
         Grid in rad/s to look for crossings on, instead of the automatic one; positive.
     delay : float
         A pure delay tau of a scalar loop, s: the margins of L exp(-s tau), exactly, without a
         Pade form. Poles counted in `closed_loop_unstable` are those of the delayed loop.
+    accuracy : array (k,), optional
+        Relative error of samples, carried to the margins; a `FrequencyResponse` has its own.
 
     Returns
     -------
     Margins
+        Of samples `MeasuredMargins`: as given, with the errors of interpolation and of the data.
 
     Raises
     ------
@@ -238,6 +280,11 @@ def margins(
     Astrom and Murray, Feedback Systems (2021), section 10.3; Seiler, Packard and Gahinet, IEEE
     Control Systems Magazine 40 (2020) 78, for the disk margin (sigma = 0).
     """
+    delay = check_delay(delay)
+    if (samples := _samples(sys, omega, accuracy)) is not None:
+        return measured_margins(*samples, delay)
+    if accuracy is not None or isinstance(sys, (FrequencyResponse, FrequencyDataLike)):
+        raise ParameterError("accuracy is that of samples; a system's own is known: leave it out")
     system = realization(sys)
     if system.n_inputs != system.n_outputs:
         raise DimensionError(
@@ -256,7 +303,8 @@ def margins(
     if omega is not None:
         omega = check_omega(omega, system)
         omega = omega[omega > 0]
-    loci: Loci | DelayedLoci = Loci(system, omega)
+    undelayed = Loci(system, omega)
+    loci: Loci | DelayedLoci = undelayed
     P, _ = _unstable(system.A, system.dt)
     closed = closed_loop_matrix(system)
     solvable = closed.shape == system.A.shape
@@ -264,14 +312,14 @@ def margins(
     if not loci.omega.size:
         phase, gain, disk = np.zeros((0, 2)), np.zeros((0, 2)), (np.inf, np.nan)
     else:
-        phase, gain = _crossings(loci)
+        phase, gain = _crossings(undelayed)
         if delay and not system.is_discrete:
-            loci = DelayedLoci(loci, delay, gain)
+            loci = DelayedLoci(undelayed, delay, gain)
             phase, gain, disk = loci.phase_crossings, loci.gain_crossings(), loci.disk()
             Z, edge = loci.unstable(Z), edge + loci.on_the_axis()
         else:
-            disk = disk_margin(loci)
-    picked = _pick(phase, gain, loci)
+            disk = disk_margin(undelayed)
+    picked = _pick(phase, gain, undelayed)
     fixed = _fixed_integrators(system)
     gm, gm_w, pm, pm_w, delay, delay_w, up, down = picked
     return Margins(
@@ -294,6 +342,33 @@ def margins(
         closed_loop_stable=solvable and Z == 0 and edge <= fixed,
         loci=loci,
     )
+
+
+def _samples(
+    sys: object, values: np.ndarray | None, accuracy: np.ndarray | None
+) -> tuple[object, object, object] | None:
+    """Frequencies, values and relative errors of what is given as samples; None for a system."""
+    if isinstance(sys, FrequencyResponse):
+        own = None if sys.accuracy is None else sys.accuracy.ravel()
+        omega, H, error = sys.omega, sys.response, own if accuracy is None else accuracy
+    elif isinstance(sys, FrequencyDataLike):
+        omega, H, error = np.asarray(sys.omega), np.asarray(sys.eval(sys.omega)), accuracy
+    elif isinstance(sys, (list, np.ndarray)) and np.ndim(np.asarray(sys, dtype=object)) == 1:
+        if values is None:
+            raise DimensionError(
+                "a row of numbers is no system; samples are margins(omega, H), with the values H"
+            )
+        return sys, values, accuracy
+    else:
+        return None
+    if values is not None:
+        raise ParameterError("these samples have their own frequencies: leave omega out")
+    if H.size != len(omega):
+        raise DimensionError(
+            f"margins of samples are of one channel, got {H.shape[0]} outputs and {H.shape[1]} "
+            "inputs; select one loop"
+        )
+    return omega, H.ravel(), error
 
 
 def _pick(

@@ -12,6 +12,7 @@ import scipy.linalg as sla
 from cellsys.arguments import checked
 from cellsys.contracts import LinearSystem
 from cellsys.errors import ParameterError
+from cellsys.response.sampling_rules import FirstOrderHold, ImpulseInvariance, MatchedPoles
 from cellsys.spectra.realization import EPS, Realization, balancing, realization
 from cellsys.units import real_number
 
@@ -151,7 +152,11 @@ def exponential(A: np.ndarray, B: np.ndarray, h: float) -> np.ndarray:
     return F * scale[:, None]
 
 
-Sampling = Annotated[ZeroOrderHold | Tustin, "cellsys.ZeroOrderHold() or cellsys.Tustin(match=...)"]
+Sampling = Annotated[
+    ZeroOrderHold | Tustin | FirstOrderHold | MatchedPoles | ImpulseInvariance,
+    "cellsys.ZeroOrderHold(), Tustin(match=...), FirstOrderHold(), MatchedPoles() or "
+    "ImpulseInvariance()",
+]
 
 
 @checked
@@ -163,7 +168,7 @@ def c2d(sys: LinearSystem, dt: float, method: Sampling = ZeroOrderHold()) -> con
     sys : control.StateSpace, continuous
     dt : float
         Sampling time, s.
-    method : ZeroOrderHold or Tustin
+    method : ZeroOrderHold, Tustin, FirstOrderHold, MatchedPoles or ImpulseInvariance
 
     Returns
     -------
@@ -172,8 +177,8 @@ def c2d(sys: LinearSystem, dt: float, method: Sampling = ZeroOrderHold()) -> con
     Raises
     ------
     ParameterError
-        The system is discrete already, dt is not > 0, the rule meets a pole, or `method` is none
-        of the two.
+        The system is discrete already, dt is not > 0, the rule meets a pole, the rule
+        needs D = 0, or `method` is none of these.
     DataError, DimensionError, MemoryBudgetError
         As for `poles`.
 

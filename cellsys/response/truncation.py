@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
 
 import numpy as np
 import scipy.linalg as sla
@@ -13,6 +13,7 @@ from cellsys.contracts import LinearSystem
 from cellsys.drawable import Drawable
 from cellsys.errors import ParameterError, RankError
 from cellsys.spectra.gramians import factors, require_stable, unscaled
+from cellsys.spectra.minimal import stabsep
 from cellsys.spectra.realization import EPS, Realization, balance, realization
 
 
@@ -54,9 +55,13 @@ class BalancedTruncation(Drawable):
 
 @checked
 def balanced_truncation(
-    sys: LinearSystem, *, order: int | None = None, tol: float | None = None
+    sys: LinearSystem,
+    *,
+    order: int | None = None,
+    tol: float | None = None,
+    unstable: Literal["refuse", "keep"] = "refuse",
 ) -> BalancedTruncation:
-    """Square-root balanced truncation of a stable system.
+    """Square-root balanced truncation of a system, of its stable part where it has another.
 
         F_o^T F_c = U S Y^T,  V = F_c Y_1 S_1^-1/2,  W = F_o U_1 S_1^-1/2,  A_r = W^T A V
         |G - G_r|_inf <= 2 (sigma_{r+1} + ... + sigma_n)
@@ -68,6 +73,9 @@ def balanced_truncation(
         States to keep.
     tol : float, optional
         Instead: the smallest order whose error bound is at most tol.
+    unstable : "refuse" or "keep"
+        Integrators and growing modes: refused, or kept whole beside the truncated stable part
+        (`stabsep`), so that the bound holds for the difference. `order` counts them.
 
     Returns
     -------
@@ -88,6 +96,8 @@ def balanced_truncation(
     if (order is None) == (tol is None):
         raise ParameterError("give exactly one of order= and tol=")
     system = realization(sys).dense()
+    if unstable == "keep" and system.n_states:
+        return _beside_the_rest(system, order, tol)
     n = system.n_states
     require_stable(system, "balanced truncation")
     b = unscaled(balance(system))
@@ -116,4 +126,39 @@ def balanced_truncation(
     )
     return BalancedTruncation(
         system=reduced, hankel=s, error_bound=float(tails[r]), left=W, right=V
+    )
+
+
+def _beside_the_rest(
+    system: Realization, order: int | None, tol: float | None
+) -> BalancedTruncation:
+    """The stable part truncated, the rest kept: first the states of the rest."""
+    parts = stabsep(system.state_space())
+    fixed = parts.rest.n_states
+    if not fixed:
+        return balanced_truncation(system.state_space(), order=order, tol=tol)
+    if order is not None and order < fixed:
+        raise ParameterError(
+            f"order {order} is below the {fixed} states that are not stable, which are kept; ask "
+            "for more"
+        )
+    inner = balanced_truncation(
+        parts.stable.state_space(), order=None if order is None else order - fixed, tol=tol
+    )
+    joined = Realization(
+        sla.block_diag(parts.rest.A, inner.system.A),
+        np.vstack([parts.rest.B, inner.system.B]),
+        np.hstack([parts.rest.C, inner.system.C]),
+        system.D,
+        dt=system.dt,
+        states=(*(f"kept[{i}]" for i in range(fixed)), *inner.system.states),
+        inputs=system.inputs,
+        outputs=system.outputs,
+    )
+    rest, stable = parts.rest_basis, parts.stable_basis
+    return replace(
+        inner,
+        system=joined,
+        left=np.hstack([rest[0], stable[0] @ inner.left]),
+        right=np.hstack([rest[1], stable[1] @ inner.right]),
     )

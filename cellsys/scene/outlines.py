@@ -56,7 +56,8 @@ def outline(kind: str, name: str) -> str:
         parameters.setdefault(row["effect"], {})[row["parameter"]] = setting_text(row)
     lines: list[str] = []
     inside = ""
-    for line in (PRESETS / f"{OUTLINES[kind]}.toml").read_text(encoding="utf-8").splitlines():
+    preset = (PRESETS / f"{OUTLINES[kind]}.toml").read_text(encoding="utf-8")
+    for line in preset.splitlines():
         if line.startswith("["):
             inside = line.strip()
         key = line.partition("=")[0].strip()
@@ -68,7 +69,7 @@ def outline(kind: str, name: str) -> str:
             if not any(_COMMON[key] in known for known in lines):
                 lines += _comment(_COMMON[key])
             lines.append(line)
-            if key == "seed" and kind != "chain":
+            if key == "seed" and "lead_node" not in preset:  # crawlers have a method of their own
                 lines += ["", *_STEPPER]
         else:
             lines.append(line)

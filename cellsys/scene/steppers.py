@@ -78,7 +78,7 @@ def check_stepping(stepper: str | None, step: float, tolerance: float | None) ->
 def stepper_told(
     steps: Mapping[str, float | None], stepper: str | None, tolerance: float | None
 ) -> str | None:
-    """What a scene file that names no stepper has: "auto", or LinearlyImplicit at a step it names."""
+    """Of a scene file that names none: "auto", or None (LinearlyImplicit) where it names a step."""
     if stepper is None and tolerance is None and all(step is None for step in steps.values()):
         return "auto"
     return stepper

@@ -13,6 +13,7 @@ from cellsys.spectra.gramians import (
 )
 from cellsys.spectra.integrators import Integrators
 from cellsys.spectra.lyapunov import LyapunovCertificate
+from cellsys.spectra.minimal import MinimalForm, StabilitySplit, minreal, stabsep
 from cellsys.spectra.participation import Participation, participation
 from cellsys.spectra.poles import poles
 from cellsys.spectra.pseudospectra import Pseudospectra, pseudospectra, pseudospectral_abscissa
@@ -26,14 +27,17 @@ __all__ = [
     "Gramian",
     "Integrators",
     "LyapunovCertificate",
+    "MinimalForm",
     "Participation",
     "Pseudospectra",
     "Realization",
     "RootSet",
     "StabilityReport",
+    "StabilitySplit",
     "controllability_gramian",
     "damping",
     "hankel_singular_values",
+    "minreal",
     "observability_gramian",
     "participation",
     "poles",
@@ -41,5 +45,6 @@ __all__ = [
     "pseudospectral_abscissa",
     "realization",
     "stability",
+    "stabsep",
     "zeros",
 ]

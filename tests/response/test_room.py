@@ -38,6 +38,12 @@ CALLS = {
     "observability_gramian": response.observability_gramian,
     "hankel_singular_values": response.hankel_singular_values,
     "balanced_truncation": lambda s: response.balanced_truncation(s, order=1),
+    "bandwidth": lambda s: response.bandwidth(s, input=0, output=0),
+    "dcgain": response.dcgain,
+    "feedback": response.feedback,
+    "minreal": response.minreal,
+    "stabsep": response.stabsep,
+    "step_info": lambda s: response.step_info(s, input=0, output=0),
     "participation": response.participation,
     "realization": response.realization,
 }
