@@ -47,9 +47,9 @@ class TransferFunctionLike(Protocol):
 class FrequencyDataLike(Protocol):
     """Frequency response data, such as control.frd(H, omega)."""
 
-    omega: Any
+    omega: np.ndarray
 
-    def eval(self, omega: Any) -> Any:
+    def eval(self, omega: np.ndarray) -> np.ndarray:
         """Values at frequencies it holds."""
 
 

@@ -8,16 +8,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-# Over five seconds even in their quick form: they run full-order cells or time many models.
-FAST = {
-    "bring_your_own_model.py",
-    "bring_your_own_snapshots.py",
-    "your_own_reductor.py",
-    "bond_graph.py",
-    "python_control.py",
-    "fit_kappa.py",
-    "design_a_controller.py",
-}
+# The others take some seconds or more even in their quick form: CI runs them with the slow tests.
+FAST = {"bring_your_own_model.py", "bond_graph.py", "python_control.py"}
 SCRIPTS = sorted(
     [
         *(ROOT / "examples").glob("*.py"),

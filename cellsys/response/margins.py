@@ -225,7 +225,7 @@ def margins(
     *,
     delay: float = 0.0,
     accuracy: np.ndarray | None = None,
-) -> Any: ...
+) -> Margins | MeasuredMargins: ...
 
 
 @checked

@@ -27,8 +27,9 @@ def test_entries_of_another_type(parts, tmp_path):
     meta, refused = header["metadata"], 0
     tables = [("metadata", meta), ("card", meta["card"])]
     for where, table in tables:
-        for key in table:
-            for value in (None, "text", [[1]], 10**400):
+        for k, key in enumerate(table):
+            # Two of four each, so that every kind of value meets every kind of entry somewhere.
+            for value in ((None, [[1]]), ("text", 10**400))[k % 2]:
                 changed = {**table, key: value}
                 changed = changed if where == "metadata" else {**meta, "card": changed}
                 try:
@@ -36,7 +37,7 @@ def test_entries_of_another_type(parts, tmp_path):
                     assert str(found)
                 except CellsysError:
                     refused += 1
-    assert refused > 60  # most entries have one type
+    assert refused > 30  # most entries have one type
 
 
 @pytest.mark.parametrize("change", ["complex", "text", "empty", "large"])
