@@ -44,10 +44,8 @@ class BDF2(ImplicitMethod):
 
     Internal states follow to second order too, by the laws at the step's middle. The velocity is
     kept through kinks of commands; where a law jumps at a stop point, and after a discrete
-    change (rupture), one step of first order is taken. What a run logs is what the method itself
-    moves by: v = (F(x_end) + (a - 1) v_before)/a, and each law's share of it by the same rule,
-    which is its average over the step to second order. So what the laws do not explain is what
-    the corrections leave over.
+    change (rupture), one step of first order is taken. What a run logs is the trapezoid of the
+    laws at the ends of the steps.
 
     Parameters
     ----------
@@ -98,22 +96,23 @@ class _SecondOrderStepper(ImplicitStepper):
         # The velocity before the last one, and the length of its step.
         self.earlier, self.long = np.zeros(system.states.size), 0.0
         self.middle = self.x
-        # Averages of the laws over the last step; None without one.
-        self.logged: tuple[np.ndarray, np.ndarray] | None = None
+        # Laws at the end of the last step; None where they must be evaluated anew.
+        self.ended: tuple[np.ndarray, np.ndarray] | None = None
+        self.begun: tuple[np.ndarray, np.ndarray] | None = None
 
     def memory(self) -> dict[str, np.ndarray]:
         out = {**super().memory(), "before": np.array([self.before])}
         out |= {"drift": self.drift, "earlier": self.earlier, "long": np.array([self.long])}
-        if self.logged is not None:
-            out |= {"logged_eta": self.logged[0], "logged_u": self.logged[1]}
+        if self.ended is not None:
+            out |= {"ended_eta": self.ended[0], "ended_u": self.ended[1]}
         return out
 
     def restore(self, memory: dict[str, np.ndarray]) -> None:
         super().restore(memory)
         self.before, self.long = float(memory["before"][0]), float(memory["long"][0])
         self.earlier, self.drift = memory["earlier"].copy(), memory["drift"].copy()
-        if "logged_eta" in memory:
-            self.logged = memory["logged_eta"].copy(), memory["logged_u"].copy()
+        if "ended_eta" in memory:
+            self.ended = memory["ended_eta"].copy(), memory["ended_u"].copy()
 
     def take_step(self, t: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
         if self.before and (dt > _GROWTH * self.before or (t in self.kinks and self._jumps(t))):
@@ -131,6 +130,10 @@ class _SecondOrderStepper(ImplicitStepper):
         return eta / _FIRST, u / _FIRST
 
     def weight(self, t: float, x: np.ndarray, dt: float, happened: bool) -> float:
+        # Past a stop point, and past a discrete change, the laws have new values.
+        anew = self.ended is None or self.system.discrete or t in self.kinks
+        if self.averages:
+            self.begun = self._laws(nextafter(t, inf), x) if anew else self.ended
         w = 0.0 if happened else (dt / self.before if self.before else 0.0)
         self.a = (1.0 + 2.0 * w) / (1.0 + w)
         # Not where steps grow: a bend that is found in short steps says little about a long one.
@@ -167,14 +170,10 @@ class _SecondOrderStepper(ImplicitStepper):
         self.drift = (self.x[self.rest] - x[self.rest]) / dt
         self.earlier, self.velocity = self.velocity, velocity
         self.before, self.long = dt, self.before
-        if not self.averages:
+        if self.begun is None:
             return eta, u
-        if self.logged is not None and self.a != 1.0:
-            share = 1.0 / self.a
-            eta = share * eta + (1.0 - share) * self.logged[0]
-            u = share * u + (1.0 - share) * self.logged[1]
-        self.logged = eta, u
-        return eta, u
+        (eta_begun, u_begun), self.ended = self.begun, (eta, u)
+        return 0.5 * (eta_begun + eta), 0.5 * (u_begun + u)
 
     def _laws(self, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self.statistics["rhs"] += 1

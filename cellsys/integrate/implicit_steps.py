@@ -261,12 +261,14 @@ class ImplicitStepper(Stepper):
         self.since_look += 1
         end = self.predicted(t, x, dt)
         t_end, (inertia, per_second) = self.law_time(t + dt), self._over(dt)
-        for _ in range(self.method.corrections):
+        for correction in range(self.method.corrections):
             self.advance_internal(t, x, end, dt)
             eta, u = system.efforts(t_end, end), system.u(t_end, end)
             self.statistics["rhs"] += 1
             residual = system.rate(end, eta, u)
             if not isfinite(np.add.reduce(residual)):
+                if correction:
+                    return None  # corrections run away from a step that is too long
                 self._not_finite(residual, t_end, dt)
             move = end - x
             # C (F/C - v - a delta/h), in place: the rate is not needed again.
