@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 # The others take some seconds or more even in their quick form: CI runs them with the slow tests.
-FAST = {"bring_your_own_model.py", "bond_graph.py", "python_control.py"}
+FAST = {"delay_and_data.py", "bring_your_own_model.py", "bond_graph.py", "python_control.py"}
 SCRIPTS = sorted(
     [
         *(ROOT / "examples").glob("*.py"),

@@ -20,6 +20,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
             "row_displacement",
         ],
         "equivariant": ["bode_family", "equivariant_model", "forecast"],
+        "frequency": ["bode", "nyquist"],
         "gel": ["gel_course", "gel_section", "gel_side", "gel_thickness"],
         "hard": ["hard_sweep"],
         "movie": ["write_movie"],
@@ -50,10 +51,8 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         ],
         "tractions": ["traction_field"],
         "response": [
-            "bode",
             "error_system",
             "hankel",
-            "nyquist",
             "participation",
             "pole_zero_map",
             "pseudospectra",

@@ -36,6 +36,12 @@ from .equivariant import (
 from .equivariant import (
     forecast as forecast,
 )
+from .frequency import (
+    bode as bode,
+)
+from .frequency import (
+    nyquist as nyquist,
+)
 from .gel import gel_course as gel_course
 from .gel import gel_section as gel_section
 from .gel import gel_side as gel_side
@@ -76,16 +82,10 @@ from .reduction import (
     pole_map as pole_map,
 )
 from .response import (
-    bode as bode,
-)
-from .response import (
     error_system as error_system,
 )
 from .response import (
     hankel as hankel,
-)
-from .response import (
-    nyquist as nyquist,
 )
 from .response import (
     participation as participation,

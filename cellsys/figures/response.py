@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from cellsys.figures.axes import Pair, axes_of, labelled, unit_circle
+from cellsys.figures.axes import axes_of, labelled, unit_circle
 from cellsys.response.frequency import FrequencyResponse
-from cellsys.response.margins import Margins
 from cellsys.response.root_locus import RootLocus
 from cellsys.response.sensitivity_functions import ErrorSystem, Sensitivity
 from cellsys.response.timeresponse import TimeResponse
@@ -19,119 +17,6 @@ from cellsys.spectra.participation import Participation
 from cellsys.spectra.pseudospectra import Pseudospectra
 from cellsys.spectra.roots import RootSet
 from cellsys.spectra.stability import StabilityReport
-
-
-def _lines(
-    found: FrequencyResponse | Margins,
-) -> tuple[list[tuple[np.ndarray, str]], np.ndarray, np.ndarray]:
-    if isinstance(found, Margins):
-        return [(v, "") for v in found.loci.values], found.loci.omega, found.loci.phase
-    p, m = found.response.shape[:2]
-    channels = [
-        (found.response[i, j], f"{found.inputs[j]} to {found.outputs[i]}" * (p * m > 1))
-        for i, j in np.ndindex(p, m)
-    ]
-    return channels, found.omega, found.phase
-
-
-def bode(result: FrequencyResponse | Margins, ax: Axes | Pair | None = None) -> Axes | Pair:
-    """Magnitude (dB) and phase (deg) of a `FrequencyResponse`, or of `Margins` with its crossings.
-
-    Parameters
-    ----------
-    result : FrequencyResponse or Margins
-        Of margins: the loci of L, with dots where |L| = 1 (phase) and where L < 0 (magnitude).
-    ax : pair of matplotlib Axes, or one Axes, optional
-        Two: magnitude and phase. One: magnitude only. None: a new figure with both.
-
-    Returns
-    -------
-    tuple of Axes, or Axes when one was given
-    """
-    lower: Axes | None = None
-    if isinstance(ax, Axes):
-        upper = ax
-    else:
-        pair = plt.subplots(2, 1, sharex=True, layout="constrained")[1] if ax is None else ax
-        upper, lower = pair
-    margins = result if isinstance(result, Margins) else None
-    lines, omega, phase = _lines(result)
-    # From the low-frequency asymptote on: 1/s^3 starts at -270 deg.
-    phases = np.rad2deg(phase).reshape(-1, len(omega))
-    for (value, label), phase in zip(lines, phases, strict=True):
-        shown = np.abs(value) > 0
-        w, value, phase = omega[shown], value[shown], phase[shown]
-        upper.semilogx(w, 20 * np.log10(np.abs(value)), label=label or None)
-        if lower is not None and len(w):
-            lower.semilogx(w, phase)
-            for at, _ in margins.gain_crossings if margins is not None and len(lines) == 1 else ():
-                lower.plot(at, np.interp(np.log(at), np.log(w), phase), "o", color="C3", ms=5)
-    if margins is not None:
-        for at, factor in margins.phase_crossings:
-            if omega[0] <= at <= omega[-1]:
-                upper.plot(at, -20 * np.log10(factor), "o", color="C3", ms=5)
-        text = f"gain margin {margins.gain_margin:.4g}, phase margin {margins.phase_margin:.4g} deg"
-        upper.set_title(text, fontsize="medium")
-    if any(name for _, name in lines):
-        upper.legend(fontsize="small")
-    labelled(upper, "frequency (rad/s)" if lower is None else "", "|G| (dB)")
-    if lower is not None:
-        lower.yaxis.set_major_locator(plt.MultipleLocator(_phase_step(lower)))
-        labelled(lower, "frequency (rad/s)", "phase (deg)")
-    return upper if lower is None else (upper, lower)
-
-
-def _phase_step(ax: Axes) -> float:
-    low, high = ax.get_ylim()
-    return next((s for s in (15, 45, 90, 180, 360) if (high - low) / s <= 8), 720.0)
-
-
-def nyquist(result: FrequencyResponse | Margins, ax: Axes | None = None) -> Axes:
-    """Nyquist plot of `Margins` (eigenvalue loci) or of a `FrequencyResponse` (its channels).
-
-    The part for negative frequencies is dashed; -1 is marked. Values beyond 4 are drawn pulled in
-    to the circle of radius 4 to 5, so that integrators do not flatten the rest.
-
-    Parameters
-    ----------
-    result : Margins or FrequencyResponse
-    ax : matplotlib Axes, optional
-
-    Returns
-    -------
-    Axes
-    """
-    ax = axes_of(ax, None)
-    lines, _, _ = _lines(result)
-    for number, (value, channel) in enumerate(lines):
-        shown, name = _pull_in(value), channel or f"locus {number + 1}"
-        (line,) = ax.plot(shown.real, shown.imag, lw=1.5, label=name)
-        ax.plot(shown.real, -shown.imag, "--", lw=1, color=line.get_color())
-        if len(shown) > 3:
-            at = int(np.argmin(np.abs(np.abs(shown) - np.median(np.abs(shown)))))
-            at = min(max(at, 1), len(shown) - 2)
-            ax.annotate(
-                "",
-                xy=(shown.real[at + 1], shown.imag[at + 1]),
-                xytext=(shown.real[at - 1], shown.imag[at - 1]),
-                arrowprops={"arrowstyle": "->", "color": line.get_color()},
-            )
-    unit_circle(ax, ":")
-    ax.plot(-1, 0, "+", color="C3", ms=12, mew=2)
-    if isinstance(result, Margins):
-        text = f"gain margin {result.gain_margin:.4g}, phase margin {result.phase_margin:.4g} deg"
-        ax.set_title(text, fontsize="medium")
-    if len(lines) > 1:
-        ax.legend(fontsize="small")
-    ax.set_aspect("equal", adjustable="datalim")
-    return labelled(ax, "Re L", "Im L")
-
-
-def _pull_in(value: np.ndarray, radius: float = 4.0) -> np.ndarray:
-    size = np.abs(value)
-    far = size > radius
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(far, value / size * (radius + 1 - radius / np.maximum(size, radius)), value)
 
 
 def pole_zero_map(result: RootSet | DampingTable, ax: Axes | None = None) -> Axes:

@@ -63,7 +63,7 @@ class Margins(Drawable):
         The grid and the loci, for drawing.
     """
 
-    _figure: ClassVar[str] = "nyquist"
+    _figure: ClassVar[str] = "bode"
     gain_margin: float
     gain_margin_frequency: float
     phase_margin: float

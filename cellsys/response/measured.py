@@ -9,20 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from cellsys.arguments import checked
+from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
-from cellsys.shown import Shown
 from cellsys.units import complex_array, real_array
 
 
 @checked
 @dataclass(frozen=True, eq=False, kw_only=True)
-class MeasuredMargins(Shown):
+class MeasuredMargins(Drawable):
     """Margins read off samples of L; inf where no crossing lies within them, frequencies then nan.
 
     Attributes
@@ -45,6 +46,7 @@ class MeasuredMargins(Shown):
         rad/s and L, in rising order.
     """
 
+    _figure: ClassVar[str] = "bode"
     gain_margin: float
     gain_margin_frequency: float
     gain_margin_error: float

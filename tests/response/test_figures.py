@@ -45,6 +45,8 @@ def results() -> dict[str, object]:
         "frequency": response.frequency_response(stable),
         "margins": response.margins(L),
         "matrix margins": response.margins(square),
+        "delayed margins": response.margins(L, delay=0.5),
+        "samples": response.margins(response.frequency_response(L)),
         "stability": response.stability(gallery.bidiagonal(20)),
         "discrete stability": response.stability(step),
         "no states": response.stability(np.zeros((0, 0))),
@@ -84,6 +86,17 @@ def test_bode_in_two_axes_and_singular_values() -> None:
     margins = response.margins(gallery.lag_chain(100, 0.5))
     upper, _ = figures.bode(margins)
     assert "2.101" in upper.get_title()
+    # Stems from 0 dB and from -180 deg to where the margins are read.
+    tall = [line for line in upper.lines if len(line.get_xdata()) == 2 and line.get_color() == "C3"]
+    assert tall[0].get_ydata() == pytest.approx([0.0, -20 * np.log10(margins.gain_margin)])
+    _, lower = figures.bode(response.margins(ct.tf([4], [1, 2, 1])))
+    (stem,) = [v for v in lower.lines if len(v.get_xdata()) == 2 and v.get_color() == "C3"]
+    assert stem.get_ydata()[0] == pytest.approx(-180.0)
+    unstable = response.margins(ct.tf([10], [1, 3, 3, 1]))
+    assert "NOT stable" in figures.bode(unstable)[0].get_title()
+    pair = figures.bode(found, label="a")
+    figures.bode(found, pair, label="b", color="k")
+    assert len(pair[0].get_legend().get_texts()) == 8
     # Four channels are told apart by a legend; one needs none.
     assert len(figures.nyquist(found).get_legend().get_texts()) == 4
     assert figures.nyquist(margins).get_legend() is None
