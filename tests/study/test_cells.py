@@ -195,7 +195,8 @@ def test_a_field_below_its_own_error_is_not_drawn(monkeypatch, tmp_path):
     both = [r.block("matrix.displacement")[: len(fine)] for r in (fine, result.run)]
     off = np.linalg.norm(both[0] - both[1], axis=2).max()
     assert u[-1].max() < row["matrix_error_um"]
-    assert off < row["matrix_error_um"] < 50 * off  # of a second-order step: 30 times here
+    # The estimate sums what the laws leave over, whatever its sign: 55 times the error here.
+    assert off < row["matrix_error_um"] < 100 * off
     assert greatest.get_title() == f"greatest, t = {row['displacement_max_at_s']:g} s"
     assert len(greatest.collections) == 2  # dots and arrows
     assert end.get_title() == "at the end, t = 400 s"
