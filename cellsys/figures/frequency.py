@@ -87,7 +87,7 @@ def bode(
                 upper.plot([at, at], [0.0, -20 * np.log10(factor)], "-", color="C3", lw=1)
                 upper.plot(at, -20 * np.log10(factor), "o", color="C3", ms=5)
         upper.set_title(_told(margins), fontsize="medium")
-    if any(line.get_label()[:1] != "_" for line in upper.lines):
+    if any(str(line.get_label())[:1] != "_" for line in upper.lines):
         upper.legend(fontsize="small")
     symbol = "|G| (dB)" if margins is None else "|L| (dB)"
     labelled(upper, "frequency (rad/s)" if lower is None else "", symbol)
