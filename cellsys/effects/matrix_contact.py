@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from cellsys.effects.cell_contact import surface_contact
+from cellsys.effects.contact_kernels import surface_contact
 from cellsys.effects.embedded import places
 from cellsys.effects.matrix import MATRIX
 from cellsys.effects.protocol import (

@@ -220,11 +220,14 @@ def _ordered(effects: Mapping[str, Effect]) -> list[tuple[str, Effect]]:
 def _check_overlaps(cells: tuple[CellScene, ...]) -> None:
     """Every cell against those in the cubes around its own, as wide as two radii."""
     wide = 2.0 * max((c.radius for c in cells), default=1.0)
-    cubes: dict[tuple[float, ...], list[int]] = {}
+    cubes: dict[tuple[float, float, float], list[int]] = {}
+    steps = tuple(product((-1, 0, 1), repeat=3))
     for i, a in enumerate(cells):
-        here = tuple(v // wide for v in a.centre)
-        near = (tuple(np.add(here, step)) for step in product((-1, 0, 1), repeat=3))
-        for j in sorted(j for cube in near for j in cubes.get(cube, ())):
+        x, y, z = (float(v) // wide for v in a.centre)
+        near = [
+            found for p, q, r in steps if (found := cubes.get((x + p, y + q, z + r))) is not None
+        ]
+        for j in sorted(j for found in near for j in found):
             b = cells[j]
             gap = float(np.hypot.reduce(a.centre - b.centre))
             if gap < a.radius + b.radius:
@@ -232,4 +235,4 @@ def _check_overlaps(cells: tuple[CellScene, ...]) -> None:
                     f"cells[{j}] and cells[{i}] overlap: centres {gap:.3g} um apart, radii "
                     f"{b.radius:g} + {a.radius:g} um; move them apart"
                 )
-        cubes.setdefault(here, []).append(i)
+        cubes.setdefault((x, y, z), []).append(i)

@@ -201,7 +201,7 @@ def test_a_build_without_the_files_of_absent_effects_gives_the_same_bits(tmp_pat
     """The standard scene, with all files of effects it does not name taken out of the package."""
     tables = [tiny(*STANDARD)]
     absent = [n for n in LISTED if n not in closed(*STANDARD) and _own_file(n)]
-    assert len(absent) == 11
+    assert len(absent) == 12
     package_without(tmp_path, absent)
     assert hashes(tmp_path, tables) == hashes(PACKAGE.parent, tables)
     code = (

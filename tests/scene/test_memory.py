@@ -36,7 +36,8 @@ def spread_out(cells, nodes, samples=4):
     """A square of cells on a disc of so many nodes (none: in the open), four steps."""
     across = math.ceil(math.sqrt(cells)) if cells else 1
     table = {
-        "name": "m", "duration": f"{0.5 * samples} s", "sample": "0.5 s", "seed": 1,
+        "name": "m", "duration": f"{0.5 * samples} s", "sample": "0.5 s", "step": "0.5 s",
+        "seed": 1,
         "effects": dict(LAWS) if cells else {"drag": {}},
     }  # fmt: skip
     if nodes:
