@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +14,8 @@ ROUND = 1e-9  # of the sum of the second moments: a difference below it is no el
 
 
 @checked
-class ShapeOfContour(NamedTuple):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShapeOfContour:
     """Measures of a contour, lengths in its unit.
 
     `axis_deg` is the principal axis of elongation in [0, 180), NaN for a round contour, and
@@ -81,7 +82,13 @@ def contour_shape(points: np.ndarray) -> ShapeOfContour:
         axis = float(np.degrees(0.5 * np.arctan2(difference[1], difference[0]))) % 180.0
     least = total - spread
     ratio = float(np.sqrt((total + spread) / least)) if least > 0 else float("inf")
-    return ShapeOfContour(abs(area), perimeter, middle + centre, axis, ratio)
+    return ShapeOfContour(
+        area=abs(area),
+        perimeter=perimeter,
+        centroid=middle + centre,
+        axis_deg=axis,
+        aspect_ratio=ratio,
+    )
 
 
 @checked
