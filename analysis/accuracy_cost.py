@@ -272,12 +272,8 @@ def trained(page, quick, out):
     fine = dataclasses.replace(pair, step=0.5 * pair.step)
     truth, run = cs.run_ensemble([fine, pair], folder, workers=workers)
     began = time.perf_counter()
-    system = cs.build(pair)
-    field = (
-        cs.GalerkinField(system=system, order=40, places=20)
-        if quick
-        else cs.GalerkinField(system=system)
-    )
+    small = {"order": 40, "places": 20} if quick else {}
+    field = cs.GalerkinField(system=cs.build(pair), **small)
     offline = time.perf_counter() - began
     models = [cs.reduce(known, order=m, method=method) for m in ((6, 12) if quick else (20, 100))]
     step = {f"full order, {s.step:g} s": r for s, r in ((pair, run), (fine, truth))}

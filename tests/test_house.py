@@ -317,8 +317,6 @@ def public_definitions(tree: ast.Module):
     """(node, is_method) of public functions, classes and their public methods."""
     for node in tree.body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
-            if any(ast.unparse(d) == "overload" for d in node.decorator_list):
-                continue  # documented where it is written
             yield node, False
             if isinstance(node, ast.ClassDef):
                 for item in node.body:

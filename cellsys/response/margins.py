@@ -19,7 +19,7 @@ from cellsys.response.delayed import DelayedLoci, with_samples_of_delay
 from cellsys.response.disk import disk_margin
 from cellsys.response.eigenvalue_loci import Loci
 from cellsys.response.frequency import FrequencyResponse, check_omega
-from cellsys.response.measured import MeasuredMargins, check_delay, measured_margins
+from cellsys.response.measured import MeasuredMargins, check_delay, measured_margins, samples_of
 from cellsys.spectra.integrators import MARGINAL, counted
 from cellsys.spectra.realization import EPS, Realization, balance, balancing, realization
 from cellsys.system import Matrix
@@ -206,7 +206,8 @@ def margins(
     *,
     delay: float = 0.0,
     accuracy: np.ndarray | None = None,
-) -> MeasuredMargins: ...
+) -> MeasuredMargins:
+    """Of samples."""
 
 
 @overload
@@ -215,7 +216,8 @@ def margins(
     omega: np.ndarray | None = None,
     *,
     delay: float = 0.0,
-) -> Margins: ...
+) -> Margins:
+    """Of a system."""
 
 
 @overload
@@ -225,7 +227,8 @@ def margins(
     *,
     delay: float = 0.0,
     accuracy: np.ndarray | None = None,
-) -> Margins | MeasuredMargins: ...
+) -> Margins | MeasuredMargins:
+    """Of a system without inputs, or of frequencies with their values."""
 
 
 @checked
@@ -281,7 +284,7 @@ def margins(
     Control Systems Magazine 40 (2020) 78, for the disk margin (sigma = 0).
     """
     delay = check_delay(delay)
-    if (samples := _samples(sys, omega, accuracy)) is not None:
+    if (samples := samples_of(sys, omega, accuracy)) is not None:
         return measured_margins(*samples, delay)
     if accuracy is not None or isinstance(sys, (FrequencyResponse, FrequencyDataLike)):
         raise ParameterError("accuracy is that of samples; a system's own is known: leave it out")
@@ -342,33 +345,6 @@ def margins(
         closed_loop_stable=solvable and Z == 0 and edge <= fixed,
         loci=loci,
     )
-
-
-def _samples(
-    sys: object, values: np.ndarray | None, accuracy: np.ndarray | None
-) -> tuple[object, object, object] | None:
-    """Frequencies, values and relative errors of what is given as samples; None for a system."""
-    if isinstance(sys, FrequencyResponse):
-        own = None if sys.accuracy is None else sys.accuracy.ravel()
-        omega, H, error = sys.omega, sys.response, own if accuracy is None else accuracy
-    elif isinstance(sys, FrequencyDataLike):
-        omega, H, error = np.asarray(sys.omega), np.asarray(sys.eval(sys.omega)), accuracy
-    elif isinstance(sys, (list, np.ndarray)) and np.ndim(np.asarray(sys, dtype=object)) == 1:
-        if values is None:
-            raise DimensionError(
-                "a row of numbers is no system; samples are margins(omega, H), with the values H"
-            )
-        return sys, values, accuracy
-    else:
-        return None
-    if values is not None:
-        raise ParameterError("these samples have their own frequencies: leave omega out")
-    if H.size != len(omega):
-        raise DimensionError(
-            f"margins of samples are of one channel, got {H.shape[0]} outputs and {H.shape[1]} "
-            "inputs; select one loop"
-        )
-    return omega, H.ravel(), error
 
 
 def _pick(

@@ -18,6 +18,8 @@ from scipy.optimize import brentq
 from cellsys.arguments import checked
 from cellsys.drawable import Drawable
 from cellsys.errors import DataError, DimensionError, ParameterError
+from cellsys.linear_systems import FrequencyDataLike
+from cellsys.response.frequency import FrequencyResponse
 from cellsys.units import complex_array, real_array
 
 
@@ -257,3 +259,30 @@ def check_delay(delay: float) -> float:
     if not (np.isfinite(delay) and delay >= 0):
         raise ParameterError(f"delay must be >= 0 s, got {delay!r}")
     return float(delay)
+
+
+def samples_of(
+    sys: object, values: np.ndarray | None, accuracy: np.ndarray | None
+) -> tuple[object, object, object] | None:
+    """Frequencies, values and relative errors of what is given as samples; None for a system."""
+    if isinstance(sys, FrequencyResponse):
+        own = None if sys.accuracy is None else sys.accuracy.ravel()
+        omega, H, error = sys.omega, sys.response, own if accuracy is None else accuracy
+    elif isinstance(sys, FrequencyDataLike):
+        omega, H, error = np.asarray(sys.omega), np.asarray(sys.eval(sys.omega)), accuracy
+    elif isinstance(sys, (list, np.ndarray)) and np.ndim(np.asarray(sys, dtype=object)) == 1:
+        if values is None:
+            raise DimensionError(
+                "a row of numbers is no system; samples are margins(omega, H), with the values H"
+            )
+        return sys, values, accuracy
+    else:
+        return None
+    if values is not None:
+        raise ParameterError("these samples have their own frequencies: leave omega out")
+    if H.size != len(omega):
+        raise DimensionError(
+            f"margins of samples are of one channel, got {H.shape[0]} outputs and {H.shape[1]} "
+            "inputs; select one loop"
+        )
+    return omega, H.ravel(), error
